@@ -1,0 +1,79 @@
+//! Text files: read line by line with numbered errors, written under a temporary name and renamed.
+use crate::error::DatasetError;
+use serde::{Serialize, de::DeserializeOwned};
+use std::{
+    fs,
+    io::{BufRead, BufReader},
+    path::Path,
+};
+
+/// Writes bytes so that the file is either the old one or the whole new one.
+///
+/// # Errors
+/// If the folder cannot be written or the disk is full.
+pub fn write_atomically(path: impl AsRef<Path>, bytes: impl AsRef<[u8]>) -> Result<(), DatasetError> {
+    let path = path.as_ref();
+    let mut name = path.file_name().unwrap_or_default().to_owned();
+    name.push(".partial");
+    let partial = path.with_file_name(name);
+    fs::write(&partial, bytes).map_err(|e| DatasetError::io(&partial, e))?;
+    fs::rename(&partial, path).map_err(|e| DatasetError::io(path, e))
+}
+
+/// Reads a text file.
+///
+/// # Errors
+/// If it cannot be read or is not UTF-8.
+pub fn read_text(path: impl AsRef<Path>) -> Result<String, DatasetError> {
+    fs::read_to_string(path.as_ref()).map_err(|e| DatasetError::io(path, e))
+}
+
+/// Creates a folder and those above it.
+///
+/// # Errors
+/// If the system refuses.
+pub fn create_dir(path: impl AsRef<Path>) -> Result<(), DatasetError> {
+    fs::create_dir_all(path.as_ref()).map_err(|e| DatasetError::io(path, e))
+}
+
+/// Reads every line of a JSONL file; blank lines are passed over.
+///
+/// # Errors
+/// If the file cannot be read, or a line does not parse (with its number).
+pub fn read_jsonl<T: DeserializeOwned>(path: impl AsRef<Path>) -> Result<Vec<T>, DatasetError> {
+    let path = path.as_ref();
+    let file = fs::File::open(path).map_err(|e| DatasetError::io(path, e))?;
+    let mut rows = Vec::new();
+    for (k, line) in BufReader::new(file).lines().enumerate() {
+        let line = line.map_err(|e| DatasetError::io(path, e))?;
+        if !line.trim().is_empty() {
+            rows.push(serde_json::from_str(&line).map_err(|e| DatasetError::line(path, k + 1, e))?);
+        }
+    }
+    Ok(rows)
+}
+
+/// Writes one JSON line a row.
+///
+/// # Errors
+/// If the folder cannot be written.
+pub fn write_jsonl<'a, T: Serialize + 'a>(path: impl AsRef<Path>, rows: impl IntoIterator<Item = &'a T>) -> Result<(), DatasetError> {
+    let path = path.as_ref();
+    let mut text = Vec::new();
+    for row in rows {
+        serde_json::to_writer(&mut text, row).map_err(|e| DatasetError::line(path, 0, e))?;
+        text.push(b'\n');
+    }
+    write_atomically(path, text)
+}
+
+/// BLAKE3 of a file's bytes, in hex.
+///
+/// # Errors
+/// If it cannot be read.
+pub fn digest(path: impl AsRef<Path>) -> Result<String, DatasetError> {
+    let mut hasher = blake3::Hasher::new();
+    let mut file = fs::File::open(path.as_ref()).map_err(|e| DatasetError::io(&path, e))?;
+    std::io::copy(&mut file, &mut hasher).map_err(|e| DatasetError::io(&path, e))?;
+    Ok(hasher.finalize().to_hex().to_string())
+}

@@ -1,0 +1,28 @@
+//! What lies on disk and is shared by all stages: records, detections, geometry, chance.
+//!
+//! `FORMAT.md` beside this crate defines every quantity. A dataset is opened and walked like this:
+//!
+//! ```no_run
+//! use tcross_dataset::{Dataset, Split};
+//! let dataset = Dataset::open("runs/quickstart/data")?;
+//! for record in dataset.records(Split::Test)? {
+//!     println!("{} has {} markers", record.image, record.markers.len());
+//! }
+//! # Ok::<(), tcross_dataset::DatasetError>(())
+//! ```
+pub mod dataset;
+pub mod detections;
+pub mod error;
+pub mod files;
+pub mod geom;
+pub mod record;
+pub mod rng;
+pub mod split;
+
+pub use dataset::Dataset;
+pub use detections::{Detection, ImageDetections, Pose, PoseOutcome};
+pub use error::DatasetError;
+pub use geom::{boxes::PixelBox, homography::Homography, letterbox::Letterbox, quad::Quad};
+pub use record::{Marker, Record};
+pub use rng::Rng;
+pub use split::Split;

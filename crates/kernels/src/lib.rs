@@ -1,0 +1,1 @@
+//! Fused convolution kernels for the CPU and their burn operations.

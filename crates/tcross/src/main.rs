@@ -1,0 +1,2 @@
+//! The program `tcross`.
+fn main() {}

@@ -1,0 +1,1 @@
+//! YOLOv3 and yolov3-tiny: network, weights, loss, decoding.

@@ -1,0 +1,1 @@
+//! Draws fiducial markers like a hand onto backgrounds, with exact truth.

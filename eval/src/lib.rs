@@ -1,0 +1,1 @@
+//! Scores detections: the paper's metrics, curves, tables, report. No network, only files.

@@ -1,0 +1,1 @@
+//! Detects markers and recovers their pose.

@@ -1,0 +1,1 @@
+//! Trains a detector: batches, augmentation, steps, checkpoints, curves.

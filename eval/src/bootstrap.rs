@@ -1,0 +1,99 @@
+//! Resampling of images: one set of draws, from which every interval and band of a report follows.
+use crate::interval::{Interval, percentile_interval};
+use rayon::prelude::*;
+use tcross_dataset::Rng;
+
+/// Above this many images neighbours are resampled together, in blocks of equal length: blocks are as independent as the
+/// images are, and the work no longer grows with the set.
+const MAX_BLOCKS: usize = 4096;
+
+/// Sums of per-image quantities over resampled images.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Bootstrap {
+    width: usize,
+    draws: Vec<f32>,
+}
+
+impl Bootstrap {
+    /// Draws `draws` times as many images as there are, with replacement, and sums their rows of `width` numbers.
+    /// `fill(i, row)` adds image `i` to a row. Draw `k` depends on the seed and `k` only.
+    pub fn new(images: usize, width: usize, draws: usize, seed: u64, mut fill: impl FnMut(usize, &mut [f32])) -> Self {
+        let length = images.div_ceil(MAX_BLOCKS).max(1);
+        let blocks = images.div_ceil(length);
+        let mut rows = vec![0.0f32; blocks * width];
+        for i in 0..images {
+            let at = i / length * width;
+            fill(i, &mut rows[at..at + width]);
+        }
+        let mut sums = vec![0.0f32; draws * width];
+        sums.par_chunks_mut(width.max(1)).enumerate().for_each(|(k, sum)| {
+            for (row, times) in rows.chunks_exact(width).zip(weights(blocks, seed, k)) {
+                if times > 0 {
+                    let times = f32::from(times);
+                    sum.iter_mut().zip(row).for_each(|(s, r)| *s += times * r);
+                }
+            }
+        });
+        Self { width, draws: sums }
+    }
+
+    /// The middle 95 % of a quantity computed from each draw's sums; draws where it is not finite are left out. `None`
+    /// without draws.
+    pub fn interval(&self, quantity: impl Fn(&[f32]) -> f64) -> Option<Interval> {
+        percentile_interval(self.values(quantity))
+    }
+
+    /// A quantity of every draw.
+    pub fn values(&self, quantity: impl Fn(&[f32]) -> f64) -> Vec<f64> {
+        self.rows().map(quantity).collect()
+    }
+
+    /// The sums of every draw.
+    pub fn rows(&self) -> impl Iterator<Item = &[f32]> {
+        self.draws.chunks_exact(self.width.max(1))
+    }
+}
+
+/// How often each block is drawn in draw `k`.
+fn weights(blocks: usize, seed: u64, k: usize) -> Vec<u16> {
+    let mut rng = Rng::for_item(seed, "eval/bootstrap", k as u64);
+    let mut times = vec![0u16; blocks];
+    for _ in 0..blocks {
+        let b = rng.index(blocks);
+        times[b] = times[b].saturating_add(1);
+    }
+    times
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn interval_of_a_mean_has_the_known_width() {
+        // 400 images, a quarter of them 1: the standard error of the mean is sqrt(0.25 * 0.75 / 400) = 0.02165.
+        for images in [400, 400 * 50] {
+            let draws = Bootstrap::new(images, 1, 2000, 1, |i, row| row[0] += if i % 4 == 0 { 1.0 } else { 0.0 });
+            let [lo, hi] = draws.interval(|s| f64::from(s[0]) / images as f64).unwrap();
+            let width = 2.0 * 1.96 * (0.25 * 0.75 / images as f64).sqrt();
+            // Blocks of five neighbours hold one or two ones each, so only the first case has the binomial's width.
+            if images == 400 {
+                assert!(((hi - lo) / width - 1.0).abs() < 0.1, "{lo} {hi}");
+            }
+            assert!(lo < 0.25 && 0.25 < hi);
+        }
+    }
+
+    #[test]
+    fn the_same_on_any_number_of_threads() {
+        let make = || Bootstrap::new(97, 2, 50, 5, |i, row| row.iter_mut().for_each(|r| *r += i as f32));
+        let pool = |n| rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap();
+        assert_eq!(pool(1).install(make), pool(3).install(make));
+    }
+
+    #[test]
+    fn nothing_to_draw_from() {
+        assert_eq!(Bootstrap::new(0, 3, 10, 0, |_, _| {}).interval(|s| f64::from(s[0] / s[1])), None);
+        assert_eq!(Bootstrap::new(5, 3, 0, 0, |_, _| {}).interval(|s| f64::from(s[0])), None);
+    }
+}

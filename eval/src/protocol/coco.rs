@@ -1,0 +1,265 @@
+//! COCO's average precision and recall of boxes, in the arithmetic of pycocotools.
+//!
+//! Detections of an image and category are taken by falling score, a hundred at most, each to the free truth of highest IoU
+//! at or above the threshold; truths outside the area range, and crowds, are ignored with whatever matches them. Precision
+//! is made monotone and read at 101 points of recall; averages leave out categories without truth.
+use rayon::prelude::*;
+use serde::Serialize;
+
+/// A truth: `[x, y, width, height]` in pixels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CocoTruth {
+    /// Left, upper, width, height.
+    pub bbox: [f64; 4],
+    /// By which it is small, medium or large.
+    pub area: f64,
+    /// True for a region of many objects: it can be matched often and never counts.
+    pub crowd: bool,
+}
+
+/// A claim: `[x, y, width, height]` in pixels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CocoClaim {
+    /// Left, upper, width, height.
+    pub bbox: [f64; 4],
+    /// 0..1.
+    pub score: f64,
+}
+
+/// COCO's twelve numbers. What has no truth is absent.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct CocoScores {
+    /// Mean over IoU 0.50 to 0.95.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ap: Option<f64>,
+    /// At IoU 0.50.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ap50: Option<f64>,
+    /// At IoU 0.75.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ap75: Option<f64>,
+    /// Of truths below 32 x 32 px.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ap_small: Option<f64>,
+    /// Of truths between 32 x 32 and 96 x 96 px.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ap_medium: Option<f64>,
+    /// Of truths above 96 x 96 px.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ap_large: Option<f64>,
+    /// Recall with one detection an image and category.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ar1: Option<f64>,
+    /// Recall with ten.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ar10: Option<f64>,
+    /// Recall with a hundred.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ar100: Option<f64>,
+    /// The last of small truths.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ar_small: Option<f64>,
+    /// Of medium truths.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ar_medium: Option<f64>,
+    /// Of large truths.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ar_large: Option<f64>,
+}
+
+/// Number of IoU thresholds.
+const IOUS: usize = 10;
+/// All, small, medium, large, in px squared, both ends inside.
+const AREAS: [[f64; 2]; 4] = [[0.0, 1e10], [0.0, 1024.0], [1024.0, 9216.0], [9216.0, 1e10]];
+const MAX_DETECTIONS: [usize; 3] = [1, 10, 100];
+const KEPT: usize = MAX_DETECTIONS[2];
+
+/// What numpy's `linspace(0.5, 0.95, 10)` holds, to the last bit.
+fn iou_thresholds() -> [f64; IOUS] {
+    let step = (0.95 - 0.5) / 9.0;
+    let mut out: [f64; IOUS] = std::array::from_fn(|k| k as f64 * step + 0.5);
+    out[IOUS - 1] = 0.95;
+    out
+}
+
+/// One image and category after matching. Bit `area * 10 + threshold` of a mask belongs to that pair.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct CocoCell {
+    /// Score, matched mask, ignored mask; by falling score.
+    claims: Vec<(f64, u64, u64)>,
+    /// Truths that count, an area.
+    truths: [u32; AREAS.len()],
+}
+
+/// Matches one image and category at every threshold and area.
+#[must_use]
+pub fn match_cell(truths: &[CocoTruth], claims: &[CocoClaim]) -> CocoCell {
+    let mut order: Vec<usize> = (0..claims.len()).collect();
+    order.sort_by(|&a, &b| (claims[b].score + 0.0).total_cmp(&(claims[a].score + 0.0)));
+    order.truncate(KEPT);
+    let mut cell = CocoCell { claims: order.iter().map(|&k| (claims[k].score, 0, 0)).collect(), truths: [0; AREAS.len()] };
+    let outside = |area: f64, [lo, hi]: [f64; 2]| area < lo || area > hi;
+    let overlaps: Vec<f64> = order.iter().flat_map(|&k| truths.iter().map(move |t| overlap(&claims[k].bbox, t))).collect();
+    let thresholds = iou_thresholds();
+    let mut free = vec![true; truths.len()];
+    for (a, range) in AREAS.into_iter().enumerate() {
+        let ignored = |t: &CocoTruth| t.crowd || outside(t.area, range);
+        // Truths that count come first.
+        let mut sorted: Vec<usize> = (0..truths.len()).collect();
+        sorted.sort_by_key(|&g| ignored(&truths[g]));
+        let counting = truths.iter().filter(|t| !ignored(t)).count();
+        cell.truths[a] = counting as u32;
+        for (t, threshold) in thresholds.into_iter().enumerate() {
+            let bit = 1u64 << (a * IOUS + t);
+            free.fill(true);
+            for (d, &k) in order.iter().enumerate() {
+                let row = &overlaps[d * truths.len()..(d + 1) * truths.len()];
+                let slot = &mut cell.claims[d];
+                match best_truth(row, &sorted, counting, truths, &free, threshold) {
+                    Some((position, g)) => {
+                        free[g] = false;
+                        slot.1 |= bit;
+                        slot.2 |= if position >= counting { bit } else { 0 };
+                    }
+                    None if outside(claims[k].bbox[2] * claims[k].bbox[3], range) => slot.2 |= bit,
+                    None => {}
+                }
+            }
+        }
+    }
+    cell
+}
+
+/// Position (in `sorted`) and index of the truth a claim takes: of equals the last, as pycocotools has it; one that counts
+/// before one that is ignored.
+fn best_truth(
+    row: &[f64],
+    sorted: &[usize],
+    counting: usize,
+    truths: &[CocoTruth],
+    free: &[bool],
+    threshold: f64,
+) -> Option<(usize, usize)> {
+    let mut iou = threshold.min(1.0 - 1e-10);
+    let mut best = None;
+    for (position, &g) in sorted.iter().enumerate() {
+        if !free[g] && !truths[g].crowd {
+            continue;
+        }
+        if position >= counting && best.is_some_and(|(p, _)| p < counting) {
+            break;
+        }
+        if row[g] >= iou {
+            iou = row[g];
+            best = Some((position, g));
+        }
+    }
+    best
+}
+
+/// Intersection over union in the order of operations of pycocotools; with a crowd, over the claim's own area.
+fn overlap(d: &[f64; 4], truth: &CocoTruth) -> f64 {
+    let g = &truth.bbox;
+    let w = (d[2] + d[0]).min(g[2] + g[0]) - d[0].max(g[0]);
+    let h = (d[3] + d[1]).min(g[3] + g[1]) - d[1].max(g[1]);
+    if w <= 0.0 || h <= 0.0 {
+        return 0.0;
+    }
+    let (common, claimed) = (w * h, d[2] * d[3]);
+    common / if truth.crowd { claimed } else { claimed + g[2] * g[3] - common }
+}
+
+/// Recall at the end and precision at 101 points of recall, of one category.
+struct Curve {
+    /// `[area][IoU][points]`: sum over the points is what averages need.
+    precision_sum: [[f64; IOUS]; AREAS.len()],
+    /// `[maximum of detections][area][IoU]`.
+    recall: [[[f64; IOUS]; AREAS.len()]; MAX_DETECTIONS.len()],
+    /// Areas that have truth.
+    counts: [bool; AREAS.len()],
+}
+
+/// The twelve numbers over all categories; each category's cells come in order of their images.
+#[must_use]
+pub fn score(categories: &[Vec<CocoCell>]) -> CocoScores {
+    let curves: Vec<Curve> = categories.par_iter().map(|cells| accumulate(cells)).collect();
+    let ap = |area: usize, ious: std::ops::Range<usize>| {
+        mean(curves.iter().filter(|c| c.counts[area]).flat_map(|c| ious.clone().map(move |t| c.precision_sum[area][t] / 101.0)))
+    };
+    let ar = |most: usize, area: usize| mean(curves.iter().filter(|c| c.counts[area]).flat_map(|c| c.recall[most][area]));
+    CocoScores {
+        ap: ap(0, 0..IOUS),
+        ap50: ap(0, 0..1),
+        ap75: ap(0, 5..6),
+        ap_small: ap(1, 0..IOUS),
+        ap_medium: ap(2, 0..IOUS),
+        ap_large: ap(3, 0..IOUS),
+        ar1: ar(0, 0),
+        ar10: ar(1, 0),
+        ar100: ar(2, 0),
+        ar_small: ar(2, 1),
+        ar_medium: ar(2, 2),
+        ar_large: ar(2, 3),
+    }
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, n) = values.fold((0.0, 0usize), |(s, n), v| (s + v, n + 1));
+    (n > 0).then(|| sum / n as f64)
+}
+
+fn accumulate(cells: &[CocoCell]) -> Curve {
+    let mut curve = Curve {
+        precision_sum: [[0.0; IOUS]; AREAS.len()],
+        recall: [[[0.0; IOUS]; AREAS.len()]; MAX_DETECTIONS.len()],
+        counts: [false; AREAS.len()],
+    };
+    let mut all: Vec<(f64, u64, u64)> = cells.iter().flat_map(|c| c.claims.iter().copied()).collect();
+    all.par_sort_by(|a, b| (b.0 + 0.0).total_cmp(&(a.0 + 0.0)));
+    for a in 0..AREAS.len() {
+        let truths: u64 = cells.iter().map(|c| u64::from(c.truths[a])).sum();
+        if truths == 0 {
+            continue;
+        }
+        curve.counts[a] = true;
+        for t in 0..IOUS {
+            let bit = 1u64 << (a * IOUS + t);
+            curve.precision_sum[a][t] = precision_sum(&all, bit, truths as f64);
+            for (m, most) in MAX_DETECTIONS.into_iter().enumerate() {
+                let first = cells.iter().flat_map(|c| c.claims.iter().take(most));
+                let hits = first.filter(|c| c.1 & bit != 0 && c.2 & bit == 0).count();
+                curve.recall[m][a][t] = hits as f64 / truths as f64;
+            }
+        }
+    }
+    curve
+}
+
+/// Sum over 101 points of recall of the precision, made monotone from the right. Between hits precision only falls, so its
+/// values at the hits are enough.
+fn precision_sum(claims: &[(f64, u64, u64)], bit: u64, truths: f64) -> f64 {
+    let (mut hits, mut misses) = (0u64, 0u64);
+    let mut precision = Vec::new();
+    for (_, matched, ignored) in claims.iter().filter(|c| c.2 & bit == 0) {
+        debug_assert_eq!(ignored & bit, 0);
+        if matched & bit != 0 {
+            hits += 1;
+            precision.push(hits as f64 / ((misses + hits) as f64 + f64::EPSILON));
+        } else {
+            misses += 1;
+        }
+    }
+    for k in (1..precision.len()).rev() {
+        precision[k - 1] = precision[k - 1].max(precision[k]);
+    }
+    let mut sum = 0.0;
+    let mut k = 0;
+    for r in 0..=100 {
+        let wanted = if r == 100 { 1.0 } else { f64::from(r) * 0.01 };
+        while k < precision.len() && ((k + 1) as f64 / truths) < wanted {
+            k += 1;
+        }
+        sum += precision.get(k).copied().unwrap_or(0.0);
+    }
+    sum
+}

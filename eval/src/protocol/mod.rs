@@ -1,0 +1,3 @@
+//! The three ways of scoring, one a file.
+pub mod coco;
+pub mod paper;

@@ -1,0 +1,495 @@
+//! `[model]` of a config, and `model.toml` beside the weights.
+use crate::{
+    error::YoloError,
+    fields::BoxFields,
+    geometry::Geometry,
+    graph::{Conv, Graph, Layer},
+};
+use serde::{Deserialize, Serialize};
+
+/// Epsilon inside the root of batch norm: what Darknet's GPU code, which trained the published weights, and PyTorch use.
+pub const BATCH_NORM_EPSILON: f64 = 1e-5;
+
+/// Width and height of a network's input in pixels, both multiples of 32; `[width, height]` in files.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(from = "[usize; 2]", into = "[usize; 2]")]
+pub struct NetSize {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+}
+
+impl NetSize {
+    /// As wide as high.
+    #[must_use]
+    pub fn square(side: usize) -> Self {
+        Self { width: side, height: side }
+    }
+}
+
+impl From<[usize; 2]> for NetSize {
+    fn from([width, height]: [usize; 2]) -> Self {
+        Self { width, height }
+    }
+}
+
+impl From<NetSize> for [usize; 2] {
+    fn from(net: NetSize) -> Self {
+        [net.width, net.height]
+    }
+}
+
+impl std::fmt::Display for NetSize {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        write!(f, "{}x{}", self.width, self.height)
+    }
+}
+
+/// Which layers a network has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Architecture {
+    /// 107 layers, Darknet-53 below, heads of stride 32, 16, 8.
+    #[serde(rename = "yolov3")]
+    YoloV3,
+    /// 24 layers, heads of stride 32, 16.
+    #[serde(rename = "yolov3-tiny")]
+    YoloV3Tiny,
+    /// Layers of a Darknet cfg file, kept as text in `layers`.
+    DarknetCfg,
+}
+
+impl Architecture {
+    /// Which anchors belong to which head, coarse first.
+    #[must_use]
+    pub fn masks(self) -> Vec<Vec<usize>> {
+        match self {
+            Self::YoloV3 => vec![vec![6, 7, 8], vec![3, 4, 5], vec![0, 1, 2]],
+            Self::YoloV3Tiny => vec![vec![3, 4, 5], vec![0, 1, 2]],
+            Self::DarknetCfg => Vec::new(),
+        }
+    }
+
+    /// The anchors published for COCO, in net-input pixels at 416, small ones first.
+    #[must_use]
+    pub fn coco_anchors(self) -> Vec<[f32; 2]> {
+        match self {
+            Self::YoloV3 => vec![
+                [10.0, 13.0],
+                [16.0, 30.0],
+                [33.0, 23.0],
+                [30.0, 61.0],
+                [62.0, 45.0],
+                [59.0, 119.0],
+                [116.0, 90.0],
+                [156.0, 198.0],
+                [373.0, 326.0],
+            ],
+            Self::YoloV3Tiny => vec![[10.0, 14.0], [23.0, 27.0], [37.0, 58.0], [81.0, 82.0], [135.0, 169.0], [344.0, 319.0]],
+            Self::DarknetCfg => Vec::new(),
+        }
+    }
+}
+
+/// How boxes of the dataset count pixels.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum BoxConvention {
+    /// Edges between pixels: width = x_max - x_min.
+    #[default]
+    Continuous,
+    /// Pixel indices, both ends in (the paper): training adds 1 to the maxima, detection takes it off again.
+    Inclusive,
+}
+
+impl BoxConvention {
+    /// What is added to the maxima of a box to make it continuous, in source pixels.
+    #[must_use]
+    pub fn extra(self) -> f64 {
+        match self {
+            Self::Continuous => 0.0,
+            Self::Inclusive => 1.0,
+        }
+    }
+}
+
+/// Where a model's anchors come from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(untagged)]
+pub enum AnchorChoice {
+    /// A word: `"kmeans"` over the training boxes, or `"coco"`.
+    Named(AnchorSource),
+    /// `[[width, height], ...]` in net-input pixels, small ones first.
+    List(Vec<[f32; 2]>),
+}
+
+/// A way to find anchors.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum AnchorSource {
+    /// k-means over the letterboxed training boxes, with 1 - IoU as distance and medians as centres.
+    Kmeans,
+    /// The published ones.
+    Coco,
+}
+
+/// The network to train.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct ModelSection {
+    /// `yolov3` or `yolov3-tiny`.
+    pub architecture: Architecture,
+    /// Multiplies the channels of every layer but the heads.
+    pub width: f64,
+    /// Multiplies the number of residual units of each stage (yolov3 only), at least one stays.
+    pub depth: f64,
+    /// Channels are rounded to a multiple of this, and are at least this many. 1 divides exactly.
+    pub channel_multiple: usize,
+    /// Number of classes.
+    pub classes: usize,
+    /// Points a box carries besides itself (0: plain YOLOv3).
+    pub keypoints: usize,
+    /// Input size `[width, height]` in pixels, both multiples of 32.
+    pub input: NetSize,
+    /// `"kmeans"` (over the training boxes), `"coco"` (the published ones), or a list of `[width, height]` in net-input pixels.
+    pub anchors: AnchorChoice,
+    /// Added to the variance inside the root of batch norm.
+    pub epsilon: f64,
+}
+
+impl Default for ModelSection {
+    fn default() -> Self {
+        Self {
+            architecture: Architecture::YoloV3,
+            width: 0.125,
+            depth: 1.0,
+            channel_multiple: 8,
+            classes: 1,
+            keypoints: 0,
+            input: NetSize::square(416),
+            anchors: AnchorChoice::Named(AnchorSource::Kmeans),
+            epsilon: BATCH_NORM_EPSILON,
+        }
+    }
+}
+
+impl ModelSection {
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// The first value that is not allowed, with its key and what is.
+    pub fn validate(&self) -> Result<(), YoloError> {
+        let anchors = match &self.anchors {
+            AnchorChoice::List(list) => list.clone(),
+            AnchorChoice::Named(_) => self.architecture.coco_anchors(),
+        };
+        if self.architecture == Architecture::DarknetCfg {
+            return Err(YoloError::value(
+                "model.architecture",
+                "darknet-cfg",
+                "'yolov3' or 'yolov3-tiny' (others can be imported, not configured)",
+            ));
+        }
+        self.resolve(anchors, BoxConvention::Continuous).validate()
+    }
+
+    /// The complete description of a network, with these anchors (net-input pixels, small ones first).
+    #[must_use]
+    pub fn resolve(&self, anchors: Vec<[f32; 2]>, boxes: BoxConvention) -> ModelConfig {
+        ModelConfig {
+            format: MODEL_FORMAT,
+            architecture: self.architecture,
+            width: self.width,
+            depth: self.depth,
+            channel_multiple: self.channel_multiple,
+            classes: self.classes,
+            keypoints: self.keypoints,
+            names: Vec::new(),
+            input: self.input,
+            anchors,
+            masks: self.architecture.masks(),
+            boxes,
+            epsilon: self.epsilon,
+            layers: None,
+        }
+    }
+}
+
+/// The newest `model.toml` this program reads.
+pub const MODEL_FORMAT: u32 = 1;
+
+/// `model.toml`: everything about a network but its parameters.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ModelConfig {
+    /// Version of this file's form.
+    pub format: u32,
+    /// Which layers.
+    pub architecture: Architecture,
+    /// Multiplier of channels.
+    #[serde(default = "one")]
+    pub width: f64,
+    /// Multiplier of residual units.
+    #[serde(default = "one")]
+    pub depth: f64,
+    /// Channels are rounded to a multiple of this.
+    #[serde(default = "eight")]
+    pub channel_multiple: usize,
+    /// Number of classes.
+    pub classes: usize,
+    /// Points a box carries besides itself.
+    #[serde(default)]
+    pub keypoints: usize,
+    /// Names of the classes; may be empty.
+    #[serde(default)]
+    pub names: Vec<String>,
+    /// `[width, height]` in pixels.
+    pub input: NetSize,
+    /// `[width, height]` in net-input pixels, small ones first.
+    pub anchors: Vec<[f32; 2]>,
+    /// Indices of the anchors of each head, coarse first.
+    pub masks: Vec<Vec<usize>>,
+    /// How the training boxes counted pixels; detections count alike.
+    #[serde(default)]
+    pub boxes: BoxConvention,
+    /// Epsilon of batch norm, inside the root.
+    pub epsilon: f64,
+    /// Layer sections of a Darknet cfg, where the architecture is `darknet-cfg`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub layers: Option<String>,
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+fn eight() -> usize {
+    8
+}
+
+impl ModelConfig {
+    /// The published network of this architecture: full width, one class, COCO anchors, 416 x 416.
+    #[must_use]
+    pub fn of(architecture: Architecture) -> Self {
+        ModelSection { architecture, width: 1.0, ..Default::default() }.resolve(architecture.coco_anchors(), BoxConvention::Continuous)
+    }
+
+    /// What a box of this model carries.
+    #[must_use]
+    pub fn fields(&self) -> BoxFields {
+        BoxFields { classes: self.classes, keypoints: self.keypoints }
+    }
+
+    /// Checks every value and that the layers fit together.
+    ///
+    /// # Errors
+    /// The first value that is not allowed, with its key and what is.
+    pub fn validate(&self) -> Result<(), YoloError> {
+        let positive = |key: &str, value: f64, most: f64| {
+            let message = format!("a number above 0, at most {most}");
+            if value > 0.0 && value <= most { Ok(()) } else { Err(YoloError::value(key, value, message)) }
+        };
+        positive("model.width", self.width, 4.0)?;
+        positive("model.depth", self.depth, 4.0)?;
+        positive("model.epsilon", self.epsilon, 0.1)?;
+        for (key, value, most) in
+            [("classes", self.classes, 10_000), ("channel_multiple", self.channel_multiple, 1024), ("keypoints", self.keypoints + 1, 1000)]
+        {
+            if value == 0 || value > most {
+                return Err(YoloError::value(format!("model.{key}"), value, format!("1 to {most}")));
+            }
+        }
+        if !self.names.is_empty() && self.names.len() != self.classes {
+            return Err(YoloError::value(
+                "model.names",
+                format!("{} names", self.names.len()),
+                format!("{} (one a class) or none", self.classes),
+            ));
+        }
+        self.validate_anchors()?;
+        let graph = self.graph()?;
+        let multiple = graph.max_stride();
+        for (key, side) in [("width", self.input.width), ("height", self.input.height)] {
+            if side == 0 || side % multiple != 0 || side > 8192 {
+                return Err(YoloError::value(format!("model.input ({key})"), side, format!("a multiple of {multiple}, at most 8192")));
+            }
+        }
+        Ok(())
+    }
+
+    fn validate_anchors(&self) -> Result<(), YoloError> {
+        let wanted = self.masks.iter().flatten().max().map_or(0, |most| most + 1);
+        if self.anchors.len() != wanted {
+            let heads: Vec<usize> = self.masks.iter().map(Vec::len).collect();
+            return Err(YoloError::value(
+                "model.anchors",
+                format!("{} anchors", self.anchors.len()),
+                format!("{wanted}, for heads of {heads:?} anchors"),
+            ));
+        }
+        match self.anchors.iter().find(|a| a.iter().any(|side| !side.is_finite() || *side <= 0.0)) {
+            Some(bad) => Err(YoloError::value("model.anchors", format!("{bad:?}"), "positive widths and heights in net-input pixels")),
+            None => Ok(()),
+        }
+    }
+
+    /// The network's layers.
+    ///
+    /// # Errors
+    /// If `layers` is no readable cfg, or the layers do not fit together.
+    pub fn graph(&self) -> Result<Graph, YoloError> {
+        match self.architecture {
+            Architecture::YoloV3 => self.yolov3(),
+            Architecture::YoloV3Tiny => self.yolov3_tiny(),
+            Architecture::DarknetCfg => crate::weights::cfg::layers("model.toml", self.layers.as_deref().unwrap_or_default()),
+        }
+    }
+
+    /// Grids and anchors of the heads for an input of this size.
+    #[must_use]
+    pub fn geometry(&self, net: NetSize) -> Geometry {
+        let stride = |head: usize| match self.architecture {
+            Architecture::DarknetCfg => self.graph().ok().and_then(|g| g.heads().nth(head).map(|h| h.2)).unwrap_or(32 >> head),
+            _ => 32 >> head,
+        };
+        Geometry::new(net, self.fields(), self.anchors.clone(), self.masks.iter().enumerate().map(|(h, m)| (m.clone(), stride(h))))
+    }
+
+    /// Channels of a layer that has `published` ones at width 1.
+    #[must_use]
+    pub fn scaled(&self, published: usize) -> usize {
+        let multiple = self.channel_multiple as f64;
+        ((published as f64 * self.width / multiple).round() * multiple).max(multiple) as usize
+    }
+
+    /// Filters of the convolution before a head with this many anchors.
+    fn head_filters(&self, anchors: usize) -> usize {
+        anchors * self.fields().len()
+    }
+
+    fn yolov3(&self) -> Result<Graph, YoloError> {
+        let mut b = Builder { config: self, graph: Graph::new() };
+        let units = |published: usize| ((published as f64 * self.depth).round() as usize).max(1);
+        b.conv(32, 3, 1)?;
+        let mut stages = Vec::new();
+        for (filters, repeats) in [(64, 1), (128, 2), (256, 8), (512, 8), (1024, 4)] {
+            let mut last = b.conv(filters, 3, 2)?;
+            for _ in 0..units(repeats) {
+                b.conv(filters / 2, 1, 1)?;
+                b.conv(filters, 3, 1)?;
+                last = b.graph.push(Layer::Shortcut { from: last })?;
+            }
+            stages.push(last);
+        }
+        for (head, filters) in [512, 256, 128].into_iter().enumerate() {
+            for _ in 0..2 {
+                b.conv(filters, 1, 1)?;
+                b.conv(2 * filters, 3, 1)?;
+            }
+            let neck = b.conv(filters, 1, 1)?;
+            b.conv(2 * filters, 3, 1)?;
+            b.head(head)?;
+            if head < 2 {
+                b.graph.push(Layer::Route { from: vec![neck] })?;
+                b.conv(filters / 2, 1, 1)?;
+                let up = b.graph.push(Layer::Upsample)?;
+                b.graph.push(Layer::Route { from: vec![up, stages[3 - head]] })?;
+            }
+        }
+        Ok(b.graph)
+    }
+
+    fn yolov3_tiny(&self) -> Result<Graph, YoloError> {
+        let mut b = Builder { config: self, graph: Graph::new() };
+        let mut skip = 0;
+        for (filters, stride) in [(16, 2), (32, 2), (64, 2), (128, 2), (256, 2), (512, 1)] {
+            let conv = b.conv(filters, 3, 1)?;
+            skip = if filters == 256 { conv } else { skip };
+            b.graph.push(Layer::MaxPool { stride })?;
+        }
+        b.conv(1024, 3, 1)?;
+        let neck = b.conv(256, 1, 1)?;
+        b.conv(512, 3, 1)?;
+        b.head(0)?;
+        b.graph.push(Layer::Route { from: vec![neck] })?;
+        b.conv(128, 1, 1)?;
+        let up = b.graph.push(Layer::Upsample)?;
+        b.graph.push(Layer::Route { from: vec![up, skip] })?;
+        b.conv(256, 3, 1)?;
+        b.head(1)?;
+        Ok(b.graph)
+    }
+}
+
+/// Adds Darknet's usual layers to a graph.
+struct Builder<'a> {
+    config: &'a ModelConfig,
+    graph: Graph,
+}
+
+impl Builder<'_> {
+    fn conv(&mut self, published: usize, kernel: usize, stride: usize) -> Result<usize, YoloError> {
+        let (in_channels, filters) = (self.graph.next_channels(), self.config.scaled(published));
+        self.graph.push(Layer::Conv(Conv { in_channels, filters, kernel, stride, batch_norm: true, leaky: true }))
+    }
+
+    fn head(&mut self, head: usize) -> Result<usize, YoloError> {
+        let mask = self.config.masks.get(head).cloned().unwrap_or_default();
+        let (in_channels, filters) = (self.graph.next_channels(), self.config.head_filters(mask.len()));
+        self.graph.push(Layer::Conv(Conv { in_channels, filters, kernel: 1, stride: 1, batch_norm: false, leaky: false }))?;
+        self.graph.push(Layer::Head { mask })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn published_sizes() {
+        let coco = ModelConfig { classes: 80, ..ModelConfig::of(Architecture::YoloV3) };
+        let graph = coco.graph().unwrap();
+        assert_eq!(graph.layers().len(), 107);
+        assert_eq!(graph.parameters(), 62_001_757); // with the batch norms' means and variances, as darknet53.weights
+        assert_eq!(graph.backbone(), 75);
+        assert!((graph.flops(coco.input) as f64 / 65.86e9 - 1.0).abs() < 1e-3, "{}", graph.flops(coco.input));
+        assert_eq!(graph.heads().map(|(layer, _, stride)| (layer, stride)).collect::<Vec<_>>(), [(82, 32), (94, 16), (106, 8)]);
+
+        let tiny = ModelConfig { classes: 80, ..ModelConfig::of(Architecture::YoloV3Tiny) };
+        let graph = tiny.graph().unwrap();
+        assert_eq!((graph.layers().len(), graph.parameters(), graph.backbone()), (24, 8_858_734, 15));
+        assert!((graph.flops(tiny.input) as f64 / 5.565e9 - 1.0).abs() < 1e-3);
+    }
+
+    #[test]
+    fn width_rounds_to_multiples() {
+        let config = ModelConfig { width: 0.125, ..ModelConfig::of(Architecture::YoloV3) };
+        assert_eq!((config.scaled(32), config.scaled(64), config.scaled(1024)), (8, 8, 128));
+        let exact = ModelConfig { width: 0.0625, channel_multiple: 1, ..config };
+        assert_eq!((exact.scaled(32), exact.scaled(1024)), (2, 64));
+    }
+
+    #[test]
+    fn model_toml_round_trips_and_refuses_unknown_keys() {
+        let config = ModelConfig::of(Architecture::YoloV3Tiny);
+        let text = toml::to_string(&config).unwrap();
+        assert_eq!(toml::from_str::<ModelConfig>(&text).unwrap(), config);
+        assert!(toml::from_str::<ModelConfig>(&format!("widht = 1.0\n{text}")).is_err());
+    }
+
+    #[test]
+    fn wrong_values_name_key_found_and_allowed() {
+        let good = ModelSection::default();
+        assert!(good.validate().is_ok());
+        for (section, words) in [
+            (ModelSection { width: 0.0, ..good.clone() }, ["model.width", "0", "above 0"]),
+            (ModelSection { input: NetSize::square(400), ..good.clone() }, ["model.input", "400", "multiple of 32"]),
+            (ModelSection { anchors: AnchorChoice::List(vec![[1.0, 2.0]; 6]), ..good.clone() }, ["model.anchors", "6 anchors", "9"]),
+            (ModelSection { classes: 0, ..good.clone() }, ["model.classes", "0", "1 to"]),
+        ] {
+            let message = section.validate().unwrap_err().to_string();
+            assert!(words.iter().all(|w| message.contains(w)), "{message}");
+        }
+    }
+}

@@ -24,6 +24,7 @@ pub mod graph;
 pub mod loss;
 pub mod network;
 pub mod plan;
+pub mod targets;
 pub mod weights;
 
 pub use blocks::Statistics;
@@ -32,6 +33,8 @@ pub use error::YoloError;
 pub use fields::BoxFields;
 pub use geometry::Geometry;
 pub use graph::{Graph, Layer};
-pub use loss::{Loss, LossOutput, LossTerms, Truth};
+pub use geometry::NormBox;
+pub use loss::{Loss, LossKind, LossOutput, LossTerms};
 pub use network::Yolo;
+pub use targets::Truth;
 pub use weights::Weights;

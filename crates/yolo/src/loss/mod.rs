@@ -1,36 +1,18 @@
 //! Losses over raw logits, in plain Rust: the terms to log, and the gradient of each logit.
 //!
 //! Training reads the heads back, asks for the gradient, and calls `(logits * gradient).sum().backward()`: the same code on every device.
-use crate::{error::YoloError, geometry::Geometry};
-use tcross_dataset::PixelBox;
+pub mod darknet;
+pub mod keypoints;
+pub mod paper;
 
-/// A box to learn, in fractions of the network's input.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Truth {
-    /// Centre, 0..1.
-    pub x: f32,
-    /// Centre, 0..1.
-    pub y: f32,
-    /// Width, above 0.
-    pub w: f32,
-    /// Height, above 0.
-    pub h: f32,
-    /// Index of the class.
-    pub class: u32,
-    /// Share of the picture it comes from (mix-up), 0..1; 1 for a plain picture.
-    pub weight: f32,
-}
-
-impl Truth {
-    /// From a continuous box in net-input pixels.
-    #[must_use]
-    pub fn from_net_box(bounds: &PixelBox, class: u32, net: crate::NetSize) -> Self {
-        let (w, h) = (net.width as f64, net.height as f64);
-        let [cx, cy] = bounds.center();
-        let (x, y) = ((cx / w) as f32, (cy / h) as f32);
-        Self { x, y, w: (bounds.width() / w) as f32, h: (bounds.height() / h) as f32, class, weight: 1.0 }
-    }
-}
+use crate::{
+    error::YoloError,
+    fields::BoxFields,
+    geometry::{Geometry, NormBox, Predictor},
+    targets::{self, Positive, Truth},
+};
+use rayon::prelude::*;
+use std::path::PathBuf;
 
 /// Which loss.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
@@ -48,7 +30,7 @@ pub enum LossKind {
 pub struct Loss {
     /// Which formula.
     pub kind: LossKind,
-    /// A predictor whose box overlaps a truth by more than this is no negative.
+    /// A predictor that learns no box, but whose box overlaps a truth by more than this, is no negative either.
     pub ignore_iou: f32,
 }
 
@@ -73,6 +55,17 @@ impl LossTerms {
     pub fn total(&self) -> f64 {
         self.center + self.size + self.objectness + self.class + self.keypoints
     }
+
+    fn scaled_sum(all: &[Self], scale: f64) -> Self {
+        let sum = |part: fn(&Self) -> f64| all.iter().map(part).sum::<f64>() * scale;
+        Self {
+            center: sum(|t| t.center),
+            size: sum(|t| t.size),
+            objectness: sum(|t| t.objectness),
+            class: sum(|t| t.class),
+            keypoints: sum(|t| t.keypoints),
+        }
+    }
 }
 
 /// What a loss says about a batch.
@@ -86,11 +79,192 @@ pub struct LossOutput {
 
 impl Loss {
     /// Terms and gradients of a batch: each head's logits `[batch, anchor, field, row, column]`, and the truths of each image.
+    /// Images run in parallel; the result does not depend on how many threads there are.
     ///
     /// # Errors
-    /// If a truth is out of range, or the lengths do not fit.
+    /// If a truth is out of range, or a head does not have the geometry's number of logits.
     pub fn evaluate(&self, geometry: &Geometry, logits: &[Vec<f32>], truths: &[Vec<Truth>]) -> Result<LossOutput, YoloError> {
-        let _ = (geometry, logits, truths);
-        todo!("next step")
+        check_lengths(geometry, logits, truths.len())?;
+        let share = 1.0 / truths.len().max(1) as f32;
+        let mut gradients: Vec<Vec<f32>> = logits.iter().map(|head| vec![0.0; head.len()]).collect();
+        let mut images: Vec<ImageLogits> = (0..truths.len()).map(|_| ImageLogits { geometry, share, heads: Vec::new() }).collect();
+        for (head, (logits, gradient)) in logits.iter().zip(&mut gradients).enumerate() {
+            let length = geometry.head_len(head);
+            for (image, pair) in images.iter_mut().zip(logits.chunks_exact(length).zip(gradient.chunks_exact_mut(length))) {
+                image.heads.push(pair);
+            }
+        }
+        let terms: Vec<LossTerms> = images
+            .par_iter_mut()
+            .zip(truths)
+            .enumerate()
+            .map(|(index, (image, truths))| {
+                let positives = targets::assign(geometry, index, truths)?;
+                let mut terms = match self.kind {
+                    LossKind::Darknet => darknet::image(image, truths, &positives, self.ignore_iou),
+                    LossKind::Paper => paper::image(image, truths, &positives, self.ignore_iou),
+                };
+                terms.keypoints = keypoints::image(image, &positives);
+                Ok(terms)
+            })
+            .collect::<Result<_, YoloError>>()?;
+        Ok(LossOutput { terms: LossTerms::scaled_sum(&terms, f64::from(share)), gradients })
+    }
+}
+
+fn check_lengths(geometry: &Geometry, logits: &[Vec<f32>], batch: usize) -> Result<(), YoloError> {
+    let wrong = |name: String, expected: usize, found: usize| {
+        Err(YoloError::Tensor { path: PathBuf::new(), name, expected: expected.to_string(), found: found.to_string() })
+    };
+    if logits.len() != geometry.heads.len() {
+        return wrong("number of heads".into(), geometry.heads.len(), logits.len());
+    }
+    match (0..logits.len()).find(|&head| logits[head].len() != batch * geometry.head_len(head)) {
+        Some(head) => wrong(format!("logits of head {head}"), batch * geometry.head_len(head), logits[head].len()),
+        None => Ok(()),
+    }
+}
+
+/// One image's logits in each head, and the gradients to be written.
+pub(crate) struct ImageLogits<'a> {
+    geometry: &'a Geometry,
+    /// One over the batch.
+    share: f32,
+    heads: Vec<(&'a [f32], &'a mut [f32])>,
+}
+
+impl ImageLogits<'_> {
+    fn logit(&self, at: Predictor, field: usize) -> f32 {
+        self.heads[at.head].0[self.geometry.index(at, field)]
+    }
+
+    /// Adds a gradient of this image's own loss.
+    fn add(&mut self, at: Predictor, field: usize, gradient: f32) {
+        let index = self.geometry.index(at, field);
+        self.heads[at.head].1[index] += gradient * self.share;
+    }
+
+    /// Calls `visit` with every predictor that is to learn that nothing is there: neither positive, nor with a box that overlaps a truth
+    /// by more than `ignore_iou`.
+    fn each_negative(&mut self, truths: &[Truth], positives: &[Positive], ignore_iou: f32, mut visit: impl FnMut(&mut Self, Predictor)) {
+        let geometry = self.geometry;
+        for head in 0..geometry.heads.len() {
+            let mut taken: Vec<Predictor> = positives.iter().map(|p| p.at).filter(|at| at.head == head).collect();
+            taken.sort_by_key(|at| (at.anchor, at.cell));
+            let mut taken = taken.into_iter().peekable();
+            for at in geometry.predictors(head) {
+                let positive = taken.next_if_eq(&at).is_some();
+                if !positive && !self.overlaps(at, truths, ignore_iou) {
+                    visit(self, at);
+                }
+            }
+        }
+    }
+
+    fn overlaps(&self, at: Predictor, truths: &[Truth], ignore_iou: f32) -> bool {
+        if truths.is_empty() {
+            return false;
+        }
+        let bounds: NormBox = self.geometry.decode_box(at, self.geometry.box_logits(at, self.heads[at.head].0));
+        truths.iter().any(|truth| bounds.iou(&truth.bounds) > ignore_iou)
+    }
+}
+
+/// Sigmoid and binary cross-entropy of a logit against a target, without overflow.
+fn logistic(logit: f32, target: f32) -> (f32, f32) {
+    let e = (-logit.abs()).exp();
+    let p = if logit >= 0.0 { 1.0 / (1.0 + e) } else { e / (1.0 + e) };
+    (p, logit.max(0.0) - logit * target + e.ln_1p())
+}
+
+/// Targets of a positive's class logits: (field, 1 for a class that claimed it, else 0).
+fn class_targets<'a>(fields: &BoxFields, positive: &'a Positive) -> impl Iterator<Item = (usize, f32)> + 'a {
+    fields.classes().enumerate().map(|(class, field)| (field, if positive.classes.contains(&(class as u32)) { 1.0 } else { 0.0 }))
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::{Architecture, ModelConfig, NetSize};
+    use tcross_dataset::{PixelBox, Rng};
+
+    pub fn geometry() -> Geometry {
+        ModelConfig { classes: 2, keypoints: 1, ..ModelConfig::of(Architecture::YoloV3Tiny) }.geometry(NetSize::square(64))
+    }
+
+    /// Two images; the second truth of the first claims the same predictor as the first.
+    pub fn batch() -> (Vec<Vec<f32>>, Vec<Vec<Truth>>) {
+        let mut rng = Rng::for_item(3, "test/loss", 0);
+        let mut logits = |n: usize| (0..n).map(|_| 1.5 * rng.normal() as f32).collect::<Vec<f32>>();
+        let geometry = geometry();
+        let heads = (0..2).map(|head| logits(2 * geometry.head_len(head))).collect();
+        let net = NetSize::square(64);
+        let with = |b: [f64; 4], class, weight, keypoints: &[[f32; 2]]| Truth {
+            weight,
+            keypoints: keypoints.to_vec(),
+            ..Truth::from_net_box(&PixelBox::from(b), class, net)
+        };
+        let truths = vec![
+            vec![
+                with([10.0, 10.0, 50.0, 60.0], 0, 1.0, &[[0.4, 0.6]]),
+                with([12.0, 11.0, 52.0, 60.0], 1, 0.4, &[[0.3, 0.3]]),
+                with([1.0, 2.0, 12.0, 17.0], 1, 0.7, &[]),
+            ],
+            vec![with([30.0, 30.0, 55.0, 52.0], 0, 1.0, &[[0.9, 0.1]])],
+        ];
+        (heads, truths)
+    }
+
+    /// The gradient equals central differences of the total wherever neither side changes what is ignored.
+    pub fn check_gradient(loss: Loss) {
+        let (geometry, (mut logits, truths)) = (geometry(), batch());
+        let analytic = loss.evaluate(&geometry, &logits, &truths).unwrap().gradients;
+        let step = 2e-3_f32;
+        let mut checked = 0;
+        for head in 0..logits.len() {
+            for at in 0..logits[head].len() {
+                let middle = logits[head][at];
+                let mut total = |value: f32| {
+                    logits[head][at] = value;
+                    loss.evaluate(&geometry, &logits, &truths).unwrap().terms.total()
+                };
+                let (high, low) = (total(middle + step), total(middle - step));
+                logits[head][at] = middle;
+                let numeric = (high - low) / (2.0 * f64::from(step));
+                let wanted = f64::from(analytic[head][at]);
+                assert!((numeric - wanted).abs() < 2e-3 * wanted.abs().max(1.0), "head {head}, logit {at}: {numeric} {wanted}");
+                checked += usize::from(wanted != 0.0);
+            }
+        }
+        assert!(checked > 100, "{checked}");
+    }
+
+    #[test]
+    fn extreme_logits_stay_finite() {
+        for logit in [-200.0, -50.0, 0.0, 50.0, 200.0] {
+            for target in [0.0, 1.0] {
+                let (p, bce) = logistic(logit, target);
+                assert!((0.0..=1.0).contains(&p) && bce.is_finite() && bce >= 0.0);
+            }
+        }
+    }
+
+    #[test]
+    fn one_thread_and_many_agree_to_the_bit() {
+        let (geometry, (logits, truths)) = (geometry(), batch());
+        let loss = Loss { kind: LossKind::Paper, ignore_iou: 0.5 };
+        let run = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| loss.evaluate(&geometry, &logits, &truths).unwrap())
+        };
+        assert_eq!(run(1), run(3));
+    }
+
+    #[test]
+    fn wrong_lengths_are_refused() {
+        let (geometry, (mut logits, truths)) = (geometry(), batch());
+        logits[1].pop();
+        let message = Loss { kind: LossKind::Darknet, ignore_iou: 0.5 }.evaluate(&geometry, &logits, &truths).unwrap_err().to_string();
+        assert!(message.contains("logits of head 1"), "{message}");
     }
 }

@@ -15,25 +15,30 @@
 //! assert_eq!(heads[0].dims(), [1, 3 * (4 + 1 + 1), 2, 2]);
 //! # Ok::<(), tcross_yolo::YoloError>(())
 //! ```
+pub mod anchors;
 pub mod blocks;
 pub mod config;
+pub mod decode;
 pub mod error;
 pub mod fields;
 pub mod geometry;
 pub mod graph;
+pub mod input;
 pub mod loss;
 pub mod network;
+pub mod nms;
 pub mod plan;
 pub mod targets;
 pub mod weights;
 
 pub use blocks::Statistics;
 pub use config::{AnchorChoice, Architecture, BoxConvention, ModelConfig, ModelSection, NetSize};
+pub use decode::{DetectOptions, NetDetection, detect};
 pub use error::YoloError;
 pub use fields::BoxFields;
 pub use geometry::Geometry;
-pub use graph::{Graph, Layer};
 pub use geometry::NormBox;
+pub use graph::{Graph, Layer};
 pub use loss::{Loss, LossKind, LossOutput, LossTerms};
 pub use network::Yolo;
 pub use targets::Truth;

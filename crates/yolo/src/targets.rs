@@ -82,7 +82,8 @@ pub fn assign<'a>(geometry: &Geometry, image: usize, truths: &'a [Truth]) -> Res
     for (index, truth) in truths.iter().enumerate() {
         truth.check(&geometry.fields).map_err(|message| YoloError::Label { image, index, message })?;
         let Some(at) = claim(geometry, &truth.bounds) else { continue };
-        let positive = Positive { at, truth, classes: vec![truth.class], target: target(geometry, at, &truth.bounds), scale: scale(&truth.bounds) };
+        let positive =
+            Positive { at, truth, classes: vec![truth.class], target: target(geometry, at, &truth.bounds), scale: scale(&truth.bounds) };
         match positives.iter_mut().find(|p| p.at == at) {
             None => positives.push(positive),
             Some(earlier) => {

@@ -192,6 +192,12 @@ impl Graph {
         })
     }
 
+    /// True for a convolution whose output is a head's logits.
+    #[must_use]
+    pub fn is_head(&self, layer: usize) -> bool {
+        matches!(self.layers.get(layer + 1), Some(Layer::Head { .. }))
+    }
+
     /// Channels of each layer's output.
     #[must_use]
     pub fn channels(&self, layer: usize) -> usize {

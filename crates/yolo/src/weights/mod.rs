@@ -1,6 +1,8 @@
 //! The one carrier of parameters: plain vectors. Files, the burn module and fast inference all go through it.
 pub mod cfg;
+pub mod darknet;
 pub mod init;
+pub mod safetensors;
 
 use crate::{
     error::YoloError,

@@ -1,0 +1,7 @@
+//! The network, losses and detections against reference data of the original Darknet (see the README there), where it is present:
+//! in `../shared/golden` beside the workspace, or under `$TCROSS_SHARED`. Elsewhere these tests say that they are skipped.
+mod detections;
+mod forward;
+mod golden;
+mod letterbox;
+mod loss;

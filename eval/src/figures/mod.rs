@@ -18,6 +18,7 @@ mod svg;
 pub use axis::{Axis, Scale};
 pub use canvas::{Anchor, Canvas, Color, Ink, Shape};
 pub use line_plot::{LinePlot, Series};
+pub use svg::escape;
 
 /// Width of a figure in points: one column.
 pub const COLUMN_PT: f64 = 252.0;

@@ -1,0 +1,262 @@
+//! Everything that is written about one or more runs: `metrics.json`, tables, figures, galleries, `report.html`.
+mod figures;
+mod gallery;
+mod html;
+mod tables;
+
+pub use figures::Figure;
+pub use gallery::{Gallery, Picture, base64};
+pub use tables::Named as NamedTable;
+
+use crate::{
+    calibration::calibration,
+    error::EvalError,
+    evaluation::Evaluation,
+    failures::failures,
+    metrics,
+    paper_tables::{self, PaperRow},
+    slices,
+    table::Table,
+    truth::Truth,
+};
+use serde_json::{Value, json};
+use std::path::Path;
+use tcross_dataset::files;
+
+/// One scored file of detections.
+#[derive(Debug, Clone, Copy)]
+pub struct Run<'a> {
+    /// What it is scored against.
+    pub truth: &'a Truth,
+    /// The scores.
+    pub evaluation: &'a Evaluation,
+    /// The same detector on the validation split: chooses a threshold, which is then applied here.
+    pub validation: Option<&'a Evaluation>,
+}
+
+impl<'a> Run<'a> {
+    /// A run without validation.
+    #[must_use]
+    pub fn new(truth: &'a Truth, evaluation: &'a Evaluation) -> Self {
+        Self { truth, evaluation, validation: None }
+    }
+
+    /// The paper's row that the configuration names.
+    #[must_use]
+    pub fn paper(&self) -> Option<&'static PaperRow> {
+        paper_tables::find(self.evaluation.config.paper.as_ref()?).ok()
+    }
+}
+
+/// A further part of the page, such as training curves.
+#[derive(Debug, Clone)]
+pub struct Extra {
+    /// Its heading.
+    pub title: String,
+    /// SVG or HTML, put into the page as it is.
+    pub fragments: Vec<String>,
+}
+
+/// What a report is made of.
+#[derive(Debug, Clone)]
+pub struct Report<'a> {
+    /// The page's title.
+    pub title: String,
+    /// One or more. Runs on the same [`Truth`] are also compared pair by pair.
+    pub runs: Vec<Run<'a>>,
+    /// Further parts, after the figures.
+    pub extras: Vec<Extra>,
+    /// How it was made: configuration, seeds, digests, versions, machine, times; in this order.
+    pub provenance: Vec<(String, String)>,
+}
+
+/// A report in memory, ready to be written or shown.
+#[derive(Debug, Clone)]
+pub struct Built {
+    /// The page's title.
+    pub title: String,
+    /// One sentence a run: what came out.
+    pub verdicts: Vec<String>,
+    /// The content of `metrics.json`.
+    pub metrics: Value,
+    /// The first is the headline.
+    pub tables: Vec<NamedTable>,
+    /// In order.
+    pub figures: Vec<Figure>,
+    /// In order.
+    pub galleries: Vec<Gallery>,
+    /// As handed in.
+    pub extras: Vec<Extra>,
+    /// As handed in.
+    pub provenance: Vec<(String, String)>,
+    /// Faults of the files that a lenient reading counted.
+    pub problems: Vec<String>,
+}
+
+impl Report<'_> {
+    /// The six metrics of each run beside the paper's row.
+    #[must_use]
+    pub fn headline(&self) -> Table {
+        tables::headline(&self.runs)
+    }
+
+    /// Computes tables, figures and galleries.
+    #[must_use]
+    pub fn build(&self) -> Built {
+        let several = self.runs.len() > 1;
+        let mut tables = vec![NamedTable::new("headline", self.headline())];
+        tables.extend(tables::coco(&self.runs).map(|t| NamedTable::new("coco", t)));
+        let mut figures = Vec::new();
+        if !self.runs.is_empty() {
+            figures.extend([figures::figure_20(&self.runs), figures::froc(&self.runs), figures::precision_recall(&self.runs)]);
+        }
+        let mut galleries = Vec::new();
+        let mut problems = Vec::new();
+        for run in &self.runs {
+            let part = build_run(run);
+            // Keys stay unique where several runs share a report.
+            let prefix = if several { format!("{}-", slug(&run.evaluation.name)) } else { String::new() };
+            let heading = if several { format!("{}: ", run.evaluation.name) } else { String::new() };
+            tables.extend(part.tables.into_iter().map(|mut t| {
+                t.key.insert_str(0, &prefix);
+                t.table.caption.insert_str(0, &heading);
+                t
+            }));
+            figures.extend(part.figures.into_iter().map(|mut f| {
+                f.key.insert_str(0, &prefix);
+                f.title.insert_str(0, &heading);
+                f
+            }));
+            galleries.extend(part.galleries.into_iter().map(|mut g| {
+                g.key.insert_str(0, &prefix);
+                g.title.insert_str(0, &heading);
+                g
+            }));
+            problems.extend(run.evaluation.problems.iter().map(|(kind, n)| format!("{heading}{n} {}", kind.words())));
+        }
+        tables.push(NamedTable::new("paper", tables::paper()));
+        Built {
+            title: self.title.clone(),
+            verdicts: self.runs.iter().map(verdict).collect(),
+            metrics: self.metrics(),
+            tables,
+            figures,
+            galleries,
+            extras: self.extras.clone(),
+            provenance: self.provenance.clone(),
+            problems,
+        }
+    }
+
+    /// The content of `metrics.json`.
+    #[must_use]
+    pub fn metrics(&self) -> Value {
+        let blocks = |run: &Run| metrics::metrics(run.truth, run.evaluation, run.validation);
+        match self.runs.as_slice() {
+            [run] => Value::Object(blocks(run)),
+            runs => {
+                let block = |run: &Run| {
+                    let mut block = blocks(run);
+                    block.insert("name".into(), json!(run.evaluation.name));
+                    Value::Object(block)
+                };
+                json!({"runs": runs.iter().map(block).collect::<Vec<_>>()})
+            }
+        }
+    }
+}
+
+struct Part {
+    tables: Vec<NamedTable>,
+    figures: Vec<Figure>,
+    galleries: Vec<Gallery>,
+}
+
+fn build_run(run: &Run) -> Part {
+    let Run { truth, evaluation, .. } = *run;
+    let mut part = Part { tables: Vec::new(), figures: Vec::new(), galleries: Vec::new() };
+    let slices = slices::slices(truth, evaluation);
+    if evaluation.config.wants(crate::Protocol::Paper) {
+        part.tables.push(NamedTable::new("thresholds", tables::thresholds(evaluation)));
+        part.tables.push(NamedTable::new("size-at-least", tables::at_least(&slices::at_least(truth, evaluation))));
+        part.figures.push(figures::over_threshold(run));
+        part.figures.push(figures::reliability(&calibration(&evaluation.images)));
+    }
+    part.tables.extend(slices.iter().map(|s| NamedTable::new(format!("by-{}", s.key), tables::slice(s))));
+    part.figures.extend(slices.iter().filter_map(figures::slice));
+    if let Some(pose) = &evaluation.pose {
+        part.tables.insert(0, NamedTable::new("pose", tables::pose(&pose.scores())));
+        part.figures.extend(slices.iter().filter_map(figures::pose_slice));
+    }
+    let count = evaluation.config.gallery;
+    if count > 0 && truth.dir.is_some() {
+        part.galleries.push(gallery::samples(truth, evaluation, count));
+        let all = failures(truth, evaluation, evaluation.config.threshold);
+        part.galleries.extend(gallery::of_failures(truth, evaluation, &all, count));
+    }
+    part
+}
+
+/// One sentence about a run.
+fn verdict(run: &Run) -> String {
+    let row = run.evaluation.headline();
+    let number = |v: Option<f64>| v.map_or("undefined".into(), |v| format!("{v:.3}"));
+    let mut text = format!(
+        "{}: of {} markers in {} images {} were found (recall {}) beside {} false positives (precision {}); mean IoU {}, at score threshold {}.",
+        run.evaluation.name,
+        row.tp + row.fn_,
+        run.evaluation.scores.images,
+        row.tp,
+        number(row.recall),
+        row.fp,
+        number(row.precision),
+        number(row.mean_iou),
+        row.threshold,
+    );
+    if let Some(paper) = run.paper() {
+        let v = crate::verdict::RowVerdict::new(&row, run.evaluation.scores.images, paper);
+        let word = |name: &str, v: Option<crate::verdict::Verdict>, good: bool| v.map(|v| format!("{name} {}", v.words(good)));
+        let parts: Vec<String> = [word("mean IoU", v.mean_iou, true), word("precision", v.precision, true), word("recall", v.recall, true)]
+            .into_iter()
+            .flatten()
+            .collect();
+        text += &format!(" Against the paper's '{}' (table {}): {}.", paper.name, paper.table, parts.join(", "));
+    }
+    text
+}
+
+/// A name made safe for files.
+fn slug(name: &str) -> String {
+    let safe: String = name.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' }).collect();
+    safe.split('-').filter(|p| !p.is_empty()).collect::<Vec<_>>().join("-")
+}
+
+impl Built {
+    /// Writes `metrics.json`, `tables/`, `figures/`, `failures/` and `report.html` into a folder.
+    ///
+    /// # Errors
+    /// If the folder cannot be written.
+    pub fn write(&self, out: impl AsRef<Path>) -> Result<(), EvalError> {
+        let out = out.as_ref();
+        files::create_dir(out.join("tables"))?;
+        files::create_dir(out.join("figures"))?;
+        files::write_atomically(out.join("metrics.json"), format!("{:#}\n", self.metrics))?;
+        for NamedTable { key, table } in &self.tables {
+            files::write_atomically(out.join(format!("tables/{key}.md")), table.markdown())?;
+            files::write_atomically(out.join(format!("tables/{key}.csv")), table.csv())?;
+            files::write_atomically(out.join(format!("tables/{key}.tex")), table.latex(key))?;
+        }
+        for figure in &self.figures {
+            files::write_atomically(out.join(format!("figures/{}.svg", figure.key)), figure.canvas.svg())?;
+        }
+        for gallery in &self.galleries {
+            let dir = out.join("galleries").join(&gallery.key);
+            files::create_dir(&dir)?;
+            for picture in &gallery.pictures {
+                files::write_atomically(dir.join(format!("{}.jpg", picture.name)), &picture.jpeg)?;
+            }
+        }
+        files::write_atomically(out.join("report.html"), self.html())?;
+        Ok(())
+    }
+}

@@ -1,0 +1,274 @@
+//! The tables of a report.
+use super::Run;
+use crate::{
+    evaluation::Evaluation,
+    paper_tables::{self, PaperRow},
+    protocol::{
+        coco::CocoScores,
+        paper::Row,
+        pose::{PoseScores, Spread},
+    },
+    slices::{AtLeast, Slice},
+    table::{Cell, Table},
+    verdict::RowVerdict,
+};
+
+/// A table and its file name.
+#[derive(Debug, Clone)]
+pub struct Named {
+    /// As a file's name.
+    pub key: String,
+    /// What is tabled.
+    pub table: Table,
+}
+
+impl Named {
+    pub(super) fn new(key: impl Into<String>, table: Table) -> Self {
+        Self { key: key.into(), table }
+    }
+}
+
+/// The six metrics of each run at its threshold in the paper's layout, the paper's row above, the verdicts below.
+pub fn headline(runs: &[Run]) -> Table {
+    let columns = ["shape", "whose", "markers", "mean IoU", "95 %", "FP", "FN", "% of FN", "precision", "95 %", "recall", "95 %"];
+    let threshold = runs.first().map_or(0.3, |r| r.evaluation.config.threshold);
+    let mut table = Table::new(format!("The paper's metrics at score threshold {threshold}."), &columns);
+    for run in runs {
+        let row = run.evaluation.headline();
+        if let Some(paper) = run.paper() {
+            table.rows.extend(paper_rows(paper));
+        }
+        table.rows.push(our_row(&run.evaluation.name, &row));
+        if let Some(paper) = run.paper() {
+            table.rows.push(verdict_row(&RowVerdict::new(&row, run.evaluation.scores.images, paper)));
+            if let Some(fault) = paper.fault {
+                table.notes.push(format!("The printed row '{}' of table {} contradicts itself: {fault}.", paper.name, paper.table));
+            }
+        }
+    }
+    table.notes.push(
+        "Intervals: bootstrap over images for the mean IoU, Wilson for rates. Verdicts are of the difference at 95 %, given the \
+         uncertainty of both sides."
+            .into(),
+    );
+    table
+}
+
+fn paper_rows(p: &PaperRow) -> Vec<Vec<Cell>> {
+    use Cell::{Count, Number, Undefined};
+    let (iou, markers) = (Number(p.mean_iou, 3), Count(p.markers));
+    let printed = |v: Option<f64>, digits| Cell::number(v, digits);
+    let whose = |w: &str| [Cell::text(p.name), Cell::text(w), markers.clone(), iou.clone(), Undefined, Count(p.fp), Count(p.fn_)];
+    let row = |w: &str, percent: Cell, precision: Cell, recall: Cell| {
+        whose(w).into_iter().chain([percent, precision, Undefined, recall, Undefined]).collect()
+    };
+    let table = p.table;
+    let printed = row(&format!("paper, table {table}"), printed(p.percent_fn, 1), printed(p.precision, 3), printed(p.recall, 3));
+    if p.fault.is_none() && p.precision.is_some() {
+        return vec![printed];
+    }
+    vec![printed, row("paper, recomputed", Number(p.percent_fn(), 1), Number(p.precision(), 3), Number(p.recall(), 3))]
+}
+
+fn our_row(name: &str, r: &Row) -> Vec<Cell> {
+    vec![
+        Cell::text(name),
+        Cell::text("ours"),
+        Cell::Count(r.tp + r.fn_),
+        Cell::number(r.mean_iou, 3),
+        Cell::range(r.mean_iou_ci, 3),
+        Cell::Count(r.fp),
+        Cell::Count(r.fn_),
+        Cell::number(r.percent_fn, 1),
+        Cell::number(r.precision, 3),
+        Cell::range(r.precision_ci, 3),
+        Cell::number(r.recall, 3),
+        Cell::range(r.recall_ci, 3),
+    ]
+}
+
+fn verdict_row(v: &RowVerdict) -> Vec<Cell> {
+    let word = |v: Option<crate::verdict::Verdict>, good: bool| v.map_or(Cell::Undefined, |v| Cell::text(v.words(good)));
+    let blank = || Cell::text("");
+    vec![
+        blank(),
+        Cell::text("verdict"),
+        blank(),
+        word(v.mean_iou, true),
+        blank(),
+        word(v.fp, false),
+        word(v.fn_, false),
+        word(v.fn_, false),
+        word(v.precision, true),
+        blank(),
+        word(v.recall, true),
+        blank(),
+    ]
+}
+
+/// Every threshold of one run.
+pub fn thresholds(evaluation: &Evaluation) -> Table {
+    let columns = ["threshold", "mean IoU", "95 %", "TP", "FP", "FN", "% of FN", "precision", "95 %", "recall", "95 %", "F1", "duplicates"];
+    let mut table = Table::new("The paper's metrics over the score threshold.", &columns);
+    for r in evaluation.rows() {
+        table.rows.push(vec![
+            Cell::Number(r.threshold, 2),
+            Cell::number(r.mean_iou, 3),
+            Cell::range(r.mean_iou_ci, 3),
+            Cell::Count(r.tp),
+            Cell::Count(r.fp),
+            Cell::Count(r.fn_),
+            Cell::number(r.percent_fn, 1),
+            Cell::number(r.precision, 3),
+            Cell::range(r.precision_ci, 3),
+            Cell::number(r.recall, 3),
+            Cell::range(r.recall_ci, 3),
+            Cell::number(r.f1, 3),
+            Cell::Count(r.duplicates),
+        ]);
+    }
+    table.notes.push("Duplicates, further detections of a found marker, count neither as true nor as false positives.".into());
+    table
+}
+
+/// COCO's twelve numbers, a row a run.
+pub fn coco(runs: &[Run]) -> Option<Table> {
+    let columns = ["run", "AP", "AP50", "AP75", "AP small", "AP medium", "AP large", "AR1", "AR10", "AR100"];
+    let mut table = Table::new("COCO's average precision and recall.", &columns);
+    for run in runs {
+        let c: CocoScores = run.evaluation.coco?;
+        let numbers = [c.ap, c.ap50, c.ap75, c.ap_small, c.ap_medium, c.ap_large, c.ar1, c.ar10, c.ar100];
+        table.rows.push([Cell::text(&run.evaluation.name)].into_iter().chain(numbers.map(|n| Cell::number(n, 3))).collect());
+    }
+    table.notes.push("Small: area below 32 x 32 px; large: above 96 x 96 px.".into());
+    Some(table)
+}
+
+/// Markers of at least some size.
+pub fn at_least(rows: &[AtLeast]) -> Table {
+    let columns = ["short side", "markers", "found", "recall", "95 %", "false positives", "precision", "mean IoU"];
+    let mut table = Table::new("Markers whose box has a short side of at least so many pixels.", &columns);
+    for r in rows {
+        table.rows.push(vec![
+            Cell::text(if r.min_px == 0.0 { "all".into() } else { format!(">= {} px", r.min_px) }),
+            Cell::Count(r.markers),
+            Cell::Count(r.tp),
+            Cell::Number(r.recall, 3),
+            Cell::Range(r.recall_ci, 3),
+            Cell::Count(r.fp),
+            Cell::number(r.precision, 3),
+            Cell::Number(r.mean_iou, 3),
+        ]);
+    }
+    table.notes.push("Every false positive is counted against every row, whatever its size.".into());
+    table
+}
+
+/// Recall and mean IoU of the classes of a factor.
+pub fn slice(slice: &Slice) -> Table {
+    let pose = slice.classes.iter().any(|c| c.pose.is_some());
+    let mut columns = vec![slice.label.as_str(), "markers", "found", "recall", "95 %", "mean IoU"];
+    if pose {
+        columns.extend(["poses", "centre %", "corners %", "angle"]);
+    }
+    let mut table = Table::new(format!("Found by {}.", slice.label), &columns);
+    for c in &slice.classes {
+        let mut row = vec![
+            Cell::text(&c.label),
+            Cell::Count(c.markers),
+            Cell::Count(c.found),
+            Cell::Number(c.recall, 3),
+            Cell::Range(c.recall_ci, 3),
+            Cell::Number(c.mean_iou, 3),
+        ];
+        if pose {
+            row.push(c.pose.map_or(Cell::Undefined, |p| Cell::Count(p.recovered)));
+            row.extend(
+                [c.pose.map(|p| p.center_percent), c.pose.map(|p| p.corner_percent), c.pose.map(|p| p.angle_deg)]
+                    .map(|v| Cell::number(v, 2)),
+            );
+        }
+        table.rows.push(row);
+    }
+    table
+}
+
+/// Errors of poses.
+pub fn pose(p: &PoseScores) -> Table {
+    let mut table = Table::new(format!("Poses of {} markers.", p.markers), &["quantity", "value", "median", "95th percentile", "mean"]);
+    let mut share = |name: &str, v: Option<f64>| {
+        table.rows.push(vec![Cell::text(name), Cell::number(v, 4), Cell::Undefined, Cell::Undefined, Cell::Undefined]);
+    };
+    share("recovered (fraction of markers)", p.recovered);
+    share("refused (fraction of markers)", p.refused);
+    share("not detected (fraction of markers)", p.missed);
+    share("wrong by more than 45 degrees (fraction of poses)", p.wrong_orientation);
+    share("within 2 % centre, 2 degrees, 4 % corners (fraction of markers)", p.within_tight);
+    share("within 4 % centre, 5 degrees, 6 % corners (fraction of markers)", p.within_loose);
+    share("paper's authors' marks: 60 px, 30 degrees, IoU 0.3 (fraction of poses)", p.authors_marks);
+    share("true centre inside the stated 95 % ellipse (honest: 0.95)", p.ellipse_coverage);
+    share("false positives for which a pose was claimed", p.false_poses);
+    let mut spread = |name: &str, s: Option<Spread>| {
+        let numbers = [s.map(|s| s.median), s.map(|s| s.p95), s.map(|s| s.mean)];
+        table.rows.push([Cell::text(name), Cell::Undefined].into_iter().chain(numbers.map(|v| Cell::number(v, 3))).collect());
+    };
+    spread("centre (% of side)", p.center_percent);
+    spread("centre (px)", p.center_px);
+    spread("angle (degrees)", p.angle_deg);
+    spread("corners (% of side)", p.corner_percent);
+    spread("corners (px)", p.corner_px);
+    spread("quadrilateral IoU", p.quad_iou);
+    let [a, b, c, d] = p.turned;
+    table
+        .notes
+        .push(format!("Orientation: {a} poses right, {b} turned by 90, {c} by 180, {d} by 270 degrees. Corners are compared by identity."));
+    if !p.reasons.is_empty() {
+        let reasons: Vec<String> = p.reasons.iter().map(|(r, n)| format!("{r} ({n})")).collect();
+        table.notes.push(format!("Refused: {}.", reasons.join(", ")));
+    }
+    table
+}
+
+/// Tables 2 to 7 as printed, with what can be recomputed from their counts.
+pub fn paper() -> Table {
+    let columns = [
+        "table",
+        "row",
+        "threshold",
+        "mean IoU",
+        "FP",
+        "FN",
+        "% of FN",
+        "precision",
+        "recall",
+        "N",
+        "precision'",
+        "recall'",
+        "% of FN'",
+        "fault",
+    ];
+    let mut table = Table::new("Tables 2 to 7 of the paper: printed values, and (') recomputed from the counts.", &columns);
+    for r in &paper_tables::ROWS {
+        table.rows.push(vec![
+            Cell::Count(u64::from(r.table)),
+            Cell::text(r.name),
+            Cell::Number(r.threshold, 2),
+            Cell::Number(r.mean_iou, 3),
+            Cell::Count(r.fp),
+            Cell::Count(r.fn_),
+            Cell::number(r.percent_fn, 1),
+            Cell::number(r.precision, 3),
+            Cell::number(r.recall, 3),
+            Cell::Count(r.markers),
+            Cell::Number(r.precision(), 3),
+            Cell::Number(r.recall(), 3),
+            Cell::Number(r.percent_fn(), 1),
+            Cell::text(r.fault.unwrap_or("")),
+        ]);
+    }
+    table.notes.push(
+        "N, which the paper does not print, is the number of test markers that reproduces the row; in table 3 any of 477 to 486 does."
+            .into(),
+    );
+    table
+}

@@ -1,1 +1,19 @@
 //! Fused convolution kernels for the CPU and their burn operations.
+//!
+//! The only crate that is allowed `unsafe`: every block argues its safety.
+#![allow(unsafe_code)]
+mod buffer;
+pub mod conv;
+mod gather;
+pub mod norm;
+pub mod ops;
+pub mod pack;
+pub mod reference;
+pub mod resample;
+mod shape;
+pub mod simd;
+pub mod weight_gradient;
+
+pub use gather::Activation;
+pub use shape::ConvShape;
+pub use simd::Isa;

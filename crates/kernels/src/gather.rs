@@ -1,0 +1,454 @@
+//! The one inner loop behind the forward pass and the gradient of the input.
+//!
+//! In `[batch, height, width, channels]` the three taps of a kernel row and all their channels are contiguous, so a convolution is a few
+//! long dot products a pixel: no im2col buffer. A task copies a band of input rows into a small scratch with zeros around it (on the way
+//! it may apply the previous layer's normalisation and activation, so that this need not be stored), then runs a register tile of
+//! pixels x channels over it. Sums for batch norm are taken while the result is still in registers.
+use crate::{
+    pack::Panels,
+    simd::{Isa, Simd, dispatch},
+};
+use rayon::prelude::*;
+use std::cell::RefCell;
+
+/// Normalisation and activation applied to an input as it is read: `leaky(x * scale[c] + shift[c])`.
+#[derive(Debug, Clone, Copy)]
+pub struct Activation<'a> {
+    /// A factor a channel.
+    pub scale: &'a [f32],
+    /// An offset a channel.
+    pub shift: &'a [f32],
+    /// Of the leaky unit, in (0, 1].
+    pub slope: f32,
+}
+
+/// What happens to a finished tile.
+#[derive(Clone, Copy)]
+pub(crate) enum Finish<'a> {
+    /// Written.
+    Store,
+    /// Added to what is there.
+    Accumulate,
+    /// Written, and summed a channel: see [`Gather::run`].
+    Statistics,
+    /// `leaky(value + bias[c])`, plus a residual of the output's shape where there is one.
+    Activate { bias: &'a [f32], slope: f32, residual: Option<&'a [f32]> },
+}
+
+/// Taps that share weights, and the output pixels they make. A forward convolution has one group; the gradient of a strided one has a
+/// group for each parity of row and column.
+pub(crate) struct Group<'a> {
+    pub weights: &'a Panels,
+    /// Rows of the band that a pixel reads.
+    pub rows: usize,
+    /// Columns of the band that a pixel reads.
+    pub columns: usize,
+    /// Where grid pixel (g, h) lands in the output: row `g * out_step + first_row`, column alike.
+    pub first_row: usize,
+    pub first_column: usize,
+}
+
+/// A convolution over a source, seen as a grid of pixels that each read a small window.
+pub(crate) struct Gather<'a> {
+    pub isa: Isa,
+    pub batch: usize,
+    /// `[batch, rows, columns, channels]`.
+    pub source: &'a [f32],
+    pub source_size: [usize; 3],
+    pub activation: Option<Activation<'a>>,
+    /// Rows and columns of the grid.
+    pub grid: [usize; 2],
+    /// Step of the window in the source from one grid pixel to the next.
+    pub step: usize,
+    /// Zeros above and left of the source.
+    pub padding: usize,
+    /// Rows and columns of the largest window.
+    pub window: usize,
+    pub groups: Vec<Group<'a>>,
+    /// Rows, columns, channels of an output image.
+    pub out_size: [usize; 3],
+    pub out_step: usize,
+    pub finish: Finish<'a>,
+}
+
+/// Tasks that a call is cut into at least, where the shape allows: the same on every machine, so that sums over tasks do not depend on
+/// the number of threads.
+const MIN_TASKS: usize = 8;
+/// Floats of a band's scratch: half of a 512 KiB second-level cache, the rest is for weights and output.
+const BAND_FLOATS: usize = 40 * 1024;
+
+/// A pointer that tasks share; each writes its own pixels and channels.
+#[derive(Clone, Copy)]
+pub(crate) struct SharedMut(pub *mut f32);
+// SAFETY: tasks write disjoint ranges, which each user of `SharedMut` argues where it writes.
+unsafe impl Send for SharedMut {}
+// SAFETY: as above.
+unsafe impl Sync for SharedMut {}
+
+thread_local! {
+    static SCRATCH: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
+}
+
+/// Lends the thread's scratch, at least `len` floats of it, contents undefined.
+pub(crate) fn with_scratch<R>(len: usize, f: impl FnOnce(&mut [f32]) -> R) -> R {
+    SCRATCH.with(|cell| {
+        // A task that is stolen while another waits on this thread finds the scratch in use; it gets one of its own.
+        match cell.try_borrow_mut() {
+            Ok(mut scratch) => {
+                if scratch.len() < len {
+                    scratch.resize(len, 0.0);
+                }
+                f(&mut scratch[..len])
+            }
+            Err(_) => f(&mut vec![0.0; len]),
+        }
+    })
+}
+
+impl Gather<'_> {
+    fn band_columns(&self) -> usize {
+        (self.grid[1] - 1) * self.step + self.window
+    }
+
+    /// True where a pixel reads just itself and nothing is applied on the way: no scratch is needed.
+    fn reads_directly(&self) -> bool {
+        self.window == 1 && self.step == 1 && self.activation.is_none()
+    }
+
+    /// Grid rows of a band, and parts that the output's panels are cut into.
+    fn partition(&self) -> (usize, usize) {
+        let row = self.band_columns() * self.source_size[2] * self.step;
+        let rows = (BAND_FLOATS / row).clamp(1, self.grid[0]);
+        // A band of few pixels would read the weights too often.
+        let rows = rows.max(24usize.div_ceil(self.grid[1])).min(self.grid[0]);
+        let mut rows = rows;
+        while rows > 1 && self.batch * self.grid[0].div_ceil(rows) < MIN_TASKS && rows * self.grid[1] >= 96 {
+            rows = rows.div_ceil(2);
+        }
+        let bands = self.batch * self.grid[0].div_ceil(rows);
+        let panels = self.groups[0].weights.count();
+        let mut parts = 1;
+        while bands * parts < MIN_TASKS && parts * 2 <= panels {
+            parts *= 2;
+        }
+        (rows, parts)
+    }
+
+    /// Runs it into `out` (`[batch, rows, columns, channels]`). With [`Finish::Statistics`] returns for every channel the sum and the sum
+    /// of squares, in f64 over the tasks' f32 sums, in the tasks' order.
+    pub fn run(&self, out: &mut [f32]) -> Option<Vec<[f64; 2]>> {
+        let [out_rows, out_columns, channels] = self.out_size;
+        assert_eq!(out.len(), self.batch * out_rows * out_columns * channels);
+        assert_eq!(self.source.len(), self.batch * self.source_size.iter().product::<usize>());
+        if let Finish::Activate { bias, residual, .. } = self.finish {
+            assert!(bias.len() == channels && residual.is_none_or(|r| r.len() == out.len()));
+        }
+        for group in &self.groups {
+            assert!(group.weights.k == group.rows * group.columns * self.source_size[2] && group.weights.channels == channels);
+            assert!(group.rows <= self.window && group.columns <= self.window && group.weights.width == 2 * self.isa.lanes());
+        }
+        let (rows, parts) = self.partition();
+        let bands = self.grid[0].div_ceil(rows);
+        let wanted = matches!(self.finish, Finish::Statistics);
+        let padded = self.groups[0].weights.count() * self.groups[0].weights.width;
+        let to = SharedMut(out.as_mut_ptr());
+        let run = |task: usize| {
+            let (image, band, part) = (task / (bands * parts), task / parts % bands, task % parts);
+            let mut sums = if wanted { vec![0f32; 2 * padded] } else { Vec::new() };
+            self.task(image, band * rows..((band + 1) * rows).min(self.grid[0]), part, parts, to, &mut sums);
+            sums
+        };
+        let tasks = self.batch * bands * parts;
+        if !wanted {
+            (0..tasks).into_par_iter().with_max_len(1).for_each(|task| {
+                run(task);
+            });
+            return None;
+        }
+        let sums: Vec<Vec<f32>> = (0..tasks).into_par_iter().with_max_len(1).map(run).collect();
+        let mut total = vec![[0f64; 2]; channels];
+        for task in &sums {
+            for (c, t) in total.iter_mut().enumerate() {
+                t[0] += f64::from(task[c]);
+                t[1] += f64::from(task[padded + c]);
+            }
+        }
+        Some(total)
+    }
+
+    fn task(&self, image: usize, grid_rows: std::ops::Range<usize>, part: usize, parts: usize, out: SharedMut, sums: &mut [f32]) {
+        let source_len: usize = self.source_size.iter().product();
+        let source = &self.source[image * source_len..(image + 1) * source_len];
+        if self.reads_directly() {
+            let first = grid_rows.start * self.grid[1] * self.source_size[2];
+            self.compute(image, grid_rows, part, parts, &source[first..], out, sums);
+            return;
+        }
+        let band_rows = (grid_rows.len() - 1) * self.step + self.window;
+        with_scratch(band_rows * self.band_columns() * self.source_size[2], |scratch| {
+            copy_band(&self.band(grid_rows.start, band_rows), source, scratch);
+            self.compute(image, grid_rows, part, parts, scratch, out, sums);
+        });
+    }
+
+    fn band(&self, first_grid_row: usize, rows: usize) -> Band<'_> {
+        Band {
+            source_size: self.source_size,
+            first_row: (first_grid_row * self.step) as isize - self.padding as isize,
+            rows,
+            columns: self.band_columns(),
+            padding: self.padding,
+            activation: self.activation,
+            isa: self.isa,
+        }
+    }
+
+    #[allow(clippy::too_many_arguments)]
+    fn compute(
+        &self,
+        image: usize,
+        rows: std::ops::Range<usize>,
+        part: usize,
+        parts: usize,
+        band: &[f32],
+        out: SharedMut,
+        sums: &mut [f32],
+    ) {
+        let [out_rows, out_columns, channels] = self.out_size;
+        let pitch = self.band_columns() * self.source_size[2];
+        let mut pixels: Vec<(u32, u32)> = Vec::with_capacity(rows.len() * self.grid[1]);
+        let mut runs: Vec<usize> = Vec::with_capacity(self.window);
+        for group in &self.groups {
+            pixels.clear();
+            for g in rows.clone() {
+                for h in 0..self.grid[1] {
+                    let (y, x) = (g * self.out_step + group.first_row, h * self.out_step + group.first_column);
+                    if y < out_rows && x < out_columns {
+                        let from = (g - rows.start) * self.step * pitch + h * self.step * self.source_size[2];
+                        pixels.push((from as u32, ((y * out_columns + x) * channels) as u32));
+                    }
+                }
+            }
+            runs.clear();
+            runs.extend((0..group.rows).map(|r| r * pitch));
+            let run_len = group.columns * self.source_size[2];
+            if let (Some(last), Some(run)) = (pixels.last(), runs.last()) {
+                assert!(last.0 as usize + run + run_len <= band.len());
+            }
+            let count = group.weights.count();
+            let work = Work {
+                pixels: &pixels,
+                runs: &runs,
+                run_len,
+                band: band.as_ptr(),
+                out: out.0.wrapping_add(image * out_rows * out_columns * channels),
+                residual_offset: image * out_rows * out_columns * channels,
+                weights: group.weights,
+                panels: part * count / parts..(part + 1) * count / parts,
+                finish: self.finish,
+            };
+            run_work(self.isa, &work, sums);
+        }
+    }
+}
+
+/// A band of source rows with its padding.
+pub(crate) struct Band<'a> {
+    pub source_size: [usize; 3],
+    /// May be negative: rows above the source are zeros.
+    pub first_row: isize,
+    pub rows: usize,
+    pub columns: usize,
+    pub padding: usize,
+    pub activation: Option<Activation<'a>>,
+    pub isa: Isa,
+}
+
+/// Copies a band of one image into `scratch` (`[rows, columns, channels]`), zeros outside.
+pub(crate) fn copy_band(band: &Band, source: &[f32], scratch: &mut [f32]) {
+    let [height, width, channels] = band.source_size;
+    let left = band.padding * channels;
+    // The band may be narrower than source and padding (strides), or wider (a window over the far edge).
+    let inside = (width * channels).min(band.columns * channels - left);
+    for (r, row) in scratch.chunks_exact_mut(band.columns * channels).take(band.rows).enumerate() {
+        let y = band.first_row + r as isize;
+        if y < 0 || y >= height as isize {
+            row.fill(0.0);
+            continue;
+        }
+        let from = &source[y as usize * width * channels..][..inside];
+        row[..left].fill(0.0);
+        row[left + inside..].fill(0.0);
+        let to = &mut row[left..left + inside];
+        match band.activation {
+            None => to.copy_from_slice(from),
+            Some(a) => crate::norm::activate_row(band.isa, from, a, to),
+        }
+    }
+}
+
+struct Work<'a> {
+    pixels: &'a [(u32, u32)],
+    runs: &'a [usize],
+    run_len: usize,
+    band: *const f32,
+    out: *mut f32,
+    residual_offset: usize,
+    weights: &'a Panels,
+    panels: std::ops::Range<usize>,
+    finish: Finish<'a>,
+}
+
+fn run_work(isa: Isa, work: &Work, sums: &mut [f32]) {
+    dispatch!(isa, work_body::<S>(work: &Work, sums: &mut [f32]))
+}
+
+/// # Safety
+/// Every pixel's window lies in the band and every output pixel in the output (checked by `Gather::compute`); the panels are packed for `S`.
+#[inline(always)]
+unsafe fn work_body<S: Simd>(work: &Work, sums: &mut [f32]) {
+    let panels = work.weights;
+    for p in work.panels.clone() {
+        let first = p * panels.width;
+        // SAFETY: `first` is below `channels`; a panel has `width` floats for each k.
+        unsafe { if panels.channels - first > S::LANES { panel_body::<S, 2>(work, p, sums) } else { panel_body::<S, 1>(work, p, sums) } }
+    }
+}
+
+#[inline(always)]
+unsafe fn panel_body<S: Simd, const V: usize>(work: &Work, panel: usize, sums: &mut [f32]) {
+    // SAFETY: see `work_body`.
+    unsafe {
+        let weights = work.weights.data.as_ptr().add(panel * work.weights.k * work.weights.width);
+        let mut pixels = work.pixels;
+        match S::TILE {
+            12 => tiles::<S, 12, V>(work, &mut pixels, weights, panel, sums),
+            6 => tiles::<S, 6, V>(work, &mut pixels, weights, panel, sums),
+            _ => {}
+        }
+        tiles::<S, 4, V>(work, &mut pixels, weights, panel, sums);
+        tiles::<S, 2, V>(work, &mut pixels, weights, panel, sums);
+        tiles::<S, 1, V>(work, &mut pixels, weights, panel, sums);
+    }
+}
+
+#[inline(always)]
+unsafe fn tiles<S: Simd, const P: usize, const V: usize>(
+    work: &Work,
+    pixels: &mut &[(u32, u32)],
+    weights: *const f32,
+    panel: usize,
+    sums: &mut [f32],
+) {
+    while let Some((tile, rest)) = pixels.split_first_chunk::<P>() {
+        *pixels = rest;
+        // SAFETY: see `work_body`.
+        unsafe {
+            let mut acc = [[S::splat(0.0); V]; P];
+            let mut w = weights;
+            for &run in work.runs {
+                let mut from = [work.band; P];
+                for (f, t) in from.iter_mut().zip(tile) {
+                    *f = f.add(t.0 as usize + run);
+                }
+                for j in 0..work.run_len {
+                    let mut wv = [S::splat(0.0); V];
+                    for (v, x) in wv.iter_mut().enumerate() {
+                        *x = S::load(w.add(v * S::LANES));
+                    }
+                    for p in 0..P {
+                        let b = S::splat(*from[p].add(j));
+                        for v in 0..V {
+                            acc[p][v] = S::fma(b, wv[v], acc[p][v]);
+                        }
+                    }
+                    w = w.add(work.weights.width);
+                }
+            }
+            // A copy of its own: `finish_tile` indexes it at run time, which would keep the accumulators of the loop above in memory.
+            let mut done = [[S::splat(0.0); V]; P];
+            for p in 0..P {
+                for v in 0..V {
+                    done[p][v] = acc[p][v];
+                }
+            }
+            finish_tile::<S, P, V>(work, tile, panel * work.weights.width, &mut done, sums);
+        }
+    }
+}
+
+#[inline(always)]
+unsafe fn finish_tile<S: Simd, const P: usize, const V: usize>(
+    work: &Work,
+    tile: &[(u32, u32); P],
+    first: usize,
+    acc: &mut [[S::V; V]; P],
+    sums: &mut [f32],
+) {
+    // SAFETY: see `work_body`; the last vector of a pixel is written only as far as its channels go.
+    unsafe {
+        for v in 0..V {
+            let channel = first + v * S::LANES;
+            let lanes = work.weights.channels.saturating_sub(channel).min(S::LANES);
+            if let Finish::Statistics = work.finish {
+                let half = sums.len() / 2;
+                let (sum, square) = (sums.as_mut_ptr().add(channel), sums.as_mut_ptr().add(half + channel));
+                let (mut s, mut q) = (S::load(sum), S::load(square));
+                for a in acc.iter() {
+                    s = S::add(s, a[v]);
+                    q = S::fma(a[v], a[v], q);
+                }
+                S::store(sum, s);
+                S::store(square, q);
+            }
+            for p in 0..P {
+                let to = work.out.add(tile[p].1 as usize + channel);
+                match work.finish {
+                    Finish::Store | Finish::Statistics => {}
+                    Finish::Accumulate => acc[p][v] = S::add(acc[p][v], load_lanes::<S>(to, lanes)),
+                    Finish::Activate { bias, slope, residual } => {
+                        let z = S::add(acc[p][v], load_lanes::<S>(bias.as_ptr().add(channel), lanes));
+                        acc[p][v] = S::max(z, S::mul(z, S::splat(slope)));
+                        if let Some(r) = residual {
+                            let r = r.as_ptr().add(work.residual_offset + tile[p].1 as usize + channel);
+                            acc[p][v] = S::add(acc[p][v], load_lanes::<S>(r, lanes));
+                        }
+                    }
+                }
+                store_lanes::<S>(to, acc[p][v], lanes);
+            }
+        }
+    }
+}
+
+/// The first `lanes` floats, zeros behind them.
+#[inline(always)]
+pub(crate) unsafe fn load_lanes<S: Simd>(from: *const f32, lanes: usize) -> S::V {
+    // SAFETY: the caller vouches for `lanes` floats.
+    unsafe {
+        if lanes == S::LANES {
+            return S::load(from);
+        }
+        let mut buffer = [0f32; 16];
+        for (k, b) in buffer.iter_mut().enumerate().take(lanes) {
+            *b = *from.add(k);
+        }
+        S::load(buffer.as_ptr())
+    }
+}
+
+/// Writes the first `lanes` floats only.
+#[inline(always)]
+pub(crate) unsafe fn store_lanes<S: Simd>(to: *mut f32, v: S::V, lanes: usize) {
+    // SAFETY: the caller vouches for `lanes` floats.
+    unsafe {
+        if lanes == S::LANES {
+            return S::store(to, v);
+        }
+        let mut buffer = [0f32; 16];
+        S::store(buffer.as_mut_ptr(), v);
+        for (k, b) in buffer.iter().enumerate().take(lanes) {
+            *to.add(k) = *b;
+        }
+    }
+}

@@ -1,0 +1,126 @@
+//! The network's operations on burn's tensors, over activations laid out as `[batch, height, width, channels]`.
+//!
+//! Each one has two bodies: a fused one for the CPU (burn's Flex backend), with its own backward pass, and a composition of burn's
+//! operations that runs on every device. [`Path`] says which is taken; both give the same result up to rounding.
+mod composite;
+mod fused;
+mod fused_resample;
+
+use burn::tensor::{Device, Tensor};
+
+/// Which body of an operation runs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Path {
+    /// Hand-written kernels; CPU only.
+    Fused,
+    /// burn's own operations.
+    Composite,
+}
+
+impl Path {
+    /// The fastest one that a device can run.
+    #[must_use]
+    pub fn for_device(device: &Device) -> Self {
+        if device.clone().inner() == Device::flex() { Self::Fused } else { Self::Composite }
+    }
+}
+
+/// What a convolution with batch norm needs to know besides its tensors.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct NormSettings {
+    /// 1 or 2.
+    pub stride: usize,
+    /// Added to the variance inside the root.
+    pub epsilon: f32,
+    /// Of the leaky unit; 1 for none.
+    pub slope: f32,
+    /// Normalise with the batch's own statistics, through which gradients flow; else with the given ones.
+    pub batch_statistics: bool,
+}
+
+/// The parameters of one convolution with batch norm, and the statistics to use where the batch's are not wanted.
+#[derive(Debug, Clone)]
+pub struct ConvNorm {
+    /// `[out, in, kernel, kernel]`.
+    pub weight: Tensor<4>,
+    /// `[out]`.
+    pub gamma: Tensor<1>,
+    /// `[out]`.
+    pub beta: Tensor<1>,
+    /// Running mean, `[out]`.
+    pub mean: Tensor<1>,
+    /// Running (population) variance, `[out]`.
+    pub variance: Tensor<1>,
+}
+
+/// Mean and population variance a channel that a normalisation used.
+#[derive(Debug, Clone)]
+pub struct Statistics {
+    /// `[out]`.
+    pub mean: Tensor<1>,
+    /// `[out]`.
+    pub variance: Tensor<1>,
+}
+
+/// `[batch, channels, height, width]` to the layout of this module.
+#[must_use]
+pub fn channels_last(x: Tensor<4>) -> Tensor<4> {
+    x.permute([0, 2, 3, 1])
+}
+
+/// Back to `[batch, channels, height, width]`.
+#[must_use]
+pub fn channels_first(x: Tensor<4>) -> Tensor<4> {
+    x.permute([0, 3, 1, 2])
+}
+
+/// `leaky(norm(conv(x)))`.
+#[must_use]
+pub fn conv_norm(path: Path, x: Tensor<4>, conv: ConvNorm, settings: NormSettings) -> (Tensor<4>, Statistics) {
+    match path {
+        Path::Fused => fused::conv_norm(x, conv, settings),
+        Path::Composite => composite::conv_norm(x, conv, settings),
+    }
+}
+
+/// The residual unit: `x + expand(squeeze(x))`, a 1x1 and a 3x3 convolution, each normalised and activated.
+#[must_use]
+pub fn residual(path: Path, x: Tensor<4>, squeeze: ConvNorm, expand: ConvNorm, settings: NormSettings) -> (Tensor<4>, [Statistics; 2]) {
+    match path {
+        Path::Fused => fused::residual(x, squeeze, expand, settings),
+        Path::Composite => composite::residual(x, squeeze, expand, settings),
+    }
+}
+
+/// A convolution with bias and no activation: a head. Stride 1.
+#[must_use]
+pub fn conv_bias(path: Path, x: Tensor<4>, weight: Tensor<4>, bias: Tensor<1>) -> Tensor<4> {
+    match path {
+        Path::Fused => fused::conv_bias(x, weight, bias),
+        Path::Composite => composite::conv_bias(x, weight, bias),
+    }
+}
+
+/// Each pixel repeated 2 x 2.
+#[must_use]
+pub fn upsample(path: Path, x: Tensor<4>) -> Tensor<4> {
+    match path {
+        Path::Fused => fused_resample::upsample(x),
+        Path::Composite => composite::upsample(x),
+    }
+}
+
+/// Maximum over 2 x 2; at stride 1 the right column and the bottom row are padded so that the size stays.
+#[must_use]
+pub fn max_pool(path: Path, x: Tensor<4>, stride: usize) -> Tensor<4> {
+    match path {
+        Path::Fused => fused_resample::max_pool(x, stride),
+        Path::Composite => composite::max_pool(x, stride),
+    }
+}
+
+/// Channels of several activations, one behind the other.
+#[must_use]
+pub fn concat(parts: Vec<Tensor<4>>) -> Tensor<4> {
+    Tensor::cat(parts, 3)
+}

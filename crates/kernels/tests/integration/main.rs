@@ -1,0 +1,3 @@
+//! Every kernel against plain loops with f64 sums, on every instruction set of this machine.
+mod convolutions;
+mod operations;

@@ -1,17 +1,14 @@
-//! The parts a network is made of, on burn's tensors. The insides are plain compositions of burn's operations, which every backend
-//! has; [`ConvBlock::forward`] and [`residual`] are the seams where faster ones fit.
+//! The parts a network is made of, on burn's tensors laid out as `[batch, height, width, channels]`. What they compute is in
+//! `tcross_kernels::ops`: fused on the CPU, a composition of burn's operations elsewhere.
 use crate::{
     graph::Conv,
     weights::{ConvWeights, NormWeights},
 };
 use burn::{
     module::{Module, Param, RunningState},
-    tensor::{
-        Device, Tensor, TensorData, activation,
-        module::{batch_norm, batch_norm_train, conv2d, interpolate, max_pool2d},
-        ops::{ConvOptions, InterpolateMode, InterpolateOptions, MaxPoolOptions},
-    },
+    tensor::{Device, Tensor, TensorData, activation},
 };
+use tcross_kernels::ops::{self, ConvNorm, NormSettings, Path};
 
 /// Slope of the leaky ReLU for negative values.
 pub const LEAKY_SLOPE: f64 = 0.1;
@@ -85,16 +82,28 @@ impl ConvBlock {
         }
     }
 
-    /// `[batch, in, height, width]` to `[batch, out, height / stride, width / stride]`.
+    /// `[batch, height, width, in]` to `[batch, height / stride, width / stride, out]`.
     #[must_use]
-    pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
-        let padding = self.kernel.shape()[2] / 2;
-        let options = ConvOptions::new([self.stride; 2], [padding; 2], [1; 2], 1);
-        let y = match &self.norm {
-            Some(norm) => norm.forward(conv2d(x, self.kernel.val(), None, options), self.bias.val()),
-            None => conv2d(x, self.kernel.val(), Some(self.bias.val()), options),
+    pub fn forward(&self, x: Tensor<4>, path: Path) -> Tensor<4> {
+        let Some(norm) = &self.norm else {
+            let y = ops::conv_bias(path, x, self.kernel.val(), self.bias.val());
+            return if self.leaky { activation::leaky_relu(y, LEAKY_SLOPE) } else { y };
         };
-        if self.leaky { activation::leaky_relu(y, LEAKY_SLOPE) } else { y }
+        let settings = norm.settings(self.stride, self.leaky, &x.device());
+        let (y, seen) = ops::conv_norm(path, x, self.parameters(norm), settings);
+        norm.observe(settings, seen);
+        y
+    }
+
+    fn parameters(&self, norm: &Norm) -> ConvNorm {
+        let device = self.kernel.val().device();
+        ConvNorm {
+            weight: self.kernel.val(),
+            gamma: norm.gamma.val(),
+            beta: self.bias.val(),
+            mean: norm.mean.value_sync().to_device(&device),
+            variance: norm.variance.value_sync().to_device(&device),
+        }
     }
 
     /// Reads the parameters back.
@@ -113,43 +122,39 @@ impl ConvBlock {
 }
 
 impl Norm {
-    fn forward(&self, x: Tensor<4>, beta: Tensor<1>) -> Tensor<4> {
-        let device = x.device();
-        if !device.is_autodiff() || self.statistics == Statistics::Running {
-            let (mean, variance) = (self.mean.value_sync(), self.variance.value_sync());
-            return batch_norm(x, self.gamma.val(), beta, mean.to_device(&device), variance.to_device(&device), self.epsilon);
+    fn settings(&self, stride: usize, leaky: bool, device: &Device) -> NormSettings {
+        NormSettings {
+            stride,
+            epsilon: self.epsilon as f32,
+            slope: if leaky { LEAKY_SLOPE as f32 } else { 1.0 },
+            batch_statistics: device.is_autodiff() && self.statistics == Statistics::Batch,
         }
-        let batch = batch_norm_train(x, self.gamma.val(), beta, self.epsilon);
-        self.observe(batch.mean, batch.variance);
-        batch.output
     }
 
-    /// Moves the running averages towards a batch's statistics.
-    pub fn observe(&self, mean: Tensor<1>, variance: Tensor<1>) {
-        for (state, seen) in [(&self.mean, mean), (&self.variance, variance)] {
+    /// Moves the running averages towards a batch's statistics, where those were used.
+    fn observe(&self, settings: NormSettings, seen: ops::Statistics) {
+        if !settings.batch_statistics {
+            return;
+        }
+        for (state, seen) in [(&self.mean, seen.mean), (&self.variance, seen.variance)] {
             state.update((state.value_sync() * (1.0 - self.momentum) + seen.detach() * self.momentum).detach());
         }
     }
 }
 
-/// The residual unit: `x + expand(squeeze(x))`.
+/// The residual unit: `x + expand(squeeze(x))`, both with batch norm.
 #[must_use]
-pub fn residual(squeeze: &ConvBlock, expand: &ConvBlock, x: Tensor<4>) -> Tensor<4> {
-    x.clone() + expand.forward(squeeze.forward(x))
-}
-
-/// Each pixel repeated 2 x 2.
-#[must_use]
-pub fn upsample(x: Tensor<4>) -> Tensor<4> {
-    interpolate(x, InterpolateOptions::new(InterpolateMode::Nearest).with_scale_factor([2.0, 2.0]))
-}
-
-/// Maximum over 2 x 2; at stride 1 the right column and the bottom row are padded so that the size stays.
-#[must_use]
-pub fn max_pool(x: Tensor<4>, stride: usize) -> Tensor<4> {
-    let end = usize::from(stride == 1);
-    let padding = [(0, end), (0, end)];
-    max_pool2d(x, MaxPoolOptions { kernel_size: [2; 2], stride: [stride; 2], padding, dilation: [1; 2], ceil_mode: false })
+pub fn residual(squeeze: &ConvBlock, expand: &ConvBlock, x: Tensor<4>, path: Path) -> Tensor<4> {
+    if let (Some(first), Some(second)) = (&squeeze.norm, &expand.norm)
+        && first.statistics == second.statistics
+    {
+        let settings = first.settings(1, squeeze.leaky, &x.device());
+        let (y, [seen_first, seen_second]) = ops::residual(path, x, squeeze.parameters(first), expand.parameters(second), settings);
+        first.observe(settings, seen_first);
+        second.observe(settings, seen_second);
+        return y;
+    }
+    x.clone() + expand.forward(squeeze.forward(x, path), path)
 }
 
 fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {

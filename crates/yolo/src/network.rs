@@ -11,6 +11,7 @@ use burn::{
     module::Module,
     tensor::{Device, Tensor},
 };
+use tcross_kernels::ops::{self, Path};
 
 /// How much a batch moves the running averages of batch norm: Darknet's `0.99 old + 0.01 new`.
 pub const BATCH_NORM_MOMENTUM: f64 = 0.01;
@@ -24,6 +25,8 @@ pub struct Yolo {
     steps: Vec<PlanStep>,
     #[module(skip)]
     graph: Graph,
+    #[module(skip)]
+    path: Path,
 }
 
 impl Yolo {
@@ -44,13 +47,20 @@ impl Yolo {
         weights.check(&graph)?;
         let block = |((_, conv), weights)| ConvBlock::new(conv, weights, epsilon, BATCH_NORM_MOMENTUM, device);
         let convolutions = graph.convolutions().zip(&weights.convolutions).map(block).collect();
-        Ok(Self { convolutions, steps: plan(&graph, true), graph })
+        Ok(Self { convolutions, steps: plan(&graph, true), graph, path: Path::for_device(device) })
     }
 
     /// The same network, one step a layer, so that [`Self::forward_watched`] sees the output of each.
     #[must_use]
     pub fn layerwise(mut self) -> Self {
         self.steps = plan(&self.graph, false);
+        self
+    }
+
+    /// Which kernels run (default: the fastest that the device has).
+    #[must_use]
+    pub fn with_path(mut self, path: Path) -> Self {
+        self.path = path;
         self
     }
 
@@ -103,26 +113,28 @@ impl Yolo {
         self.forward_watched(images, &mut |_, _| {})
     }
 
-    /// As [`Self::forward`], showing each step's output with its layer's index.
+    /// As [`Self::forward`], showing each step's output (`[batch, height, width, channels]`) with its layer's index.
     pub fn forward_watched(&self, images: Tensor<4>, watch: &mut dyn FnMut(usize, &Tensor<4>)) -> Vec<Tensor<4>> {
         let mut kept: Vec<Option<Tensor<4>>> = vec![None; self.graph.layers().len()];
         let mut heads = Vec::new();
-        let mut x = images;
+        let mut x = ops::channels_last(images);
         for PlanStep { step, layer, kept: keep, dropped } in &self.steps {
             let read = |layer: &usize| kept[*layer].clone().expect("the plan keeps what a later step reads");
             x = match step {
-                Step::Conv(index) => self.convolutions[*index].forward(x),
-                Step::Residual { squeeze, expand } => blocks::residual(&self.convolutions[*squeeze], &self.convolutions[*expand], x),
+                Step::Conv(index) => self.convolutions[*index].forward(x, self.path),
+                Step::Residual { squeeze, expand } => {
+                    blocks::residual(&self.convolutions[*squeeze], &self.convolutions[*expand], x, self.path)
+                }
                 Step::Add(from) => x + read(from),
                 Step::Concat(from) if from.len() == 1 => read(&from[0]),
-                Step::Concat(from) => Tensor::cat(from.iter().map(read).collect(), 1),
-                Step::Upsample => blocks::upsample(x),
-                Step::MaxPool(stride) => blocks::max_pool(x, *stride),
+                Step::Concat(from) => ops::concat(from.iter().map(read).collect()),
+                Step::Upsample => ops::upsample(self.path, x),
+                Step::MaxPool(stride) => ops::max_pool(self.path, x, *stride),
                 Step::Head => x,
             };
             watch(*layer, &x);
             if *step == Step::Head {
-                heads.push(x.clone());
+                heads.push(ops::channels_first(x.clone()));
             }
             if *keep {
                 kept[*layer] = Some(x.clone());

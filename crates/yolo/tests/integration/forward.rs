@@ -68,6 +68,7 @@ fn check_table(network: &Yolo, input: Tensor<4>, table: &std::path::Path) -> usi
     let table = golden::json(table);
     let mut compared = 0;
     let _ = network.clone().layerwise().forward_watched(input, &mut |layer, output| {
+        let output = &tcross_kernels::ops::channels_first(output.clone());
         let row = &table["layers"][layer];
         if row["type"] == "yolo" {
             return;

@@ -217,6 +217,18 @@ impl Graph {
         self.channels.iter().zip(&self.strides).map(shape).collect()
     }
 
+    /// The same layers with a plain bias in place of each batch norm, for folded parameters.
+    #[must_use]
+    pub fn without_batch_norm(&self) -> Self {
+        let mut graph = self.clone();
+        for layer in &mut graph.layers {
+            if let Layer::Conv(conv) = layer {
+                conv.batch_norm = false;
+            }
+        }
+        graph
+    }
+
     /// Number of stored values of all convolutions.
     #[must_use]
     pub fn parameters(&self) -> usize {

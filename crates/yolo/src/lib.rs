@@ -41,7 +41,7 @@ pub use geometry::Geometry;
 pub use geometry::NormBox;
 pub use graph::{Graph, Layer};
 pub use loss::{Loss, LossKind, LossOutput, LossTerms};
-pub use model::Model;
+pub use model::{ExportFormat, Model};
 pub use network::Yolo;
 pub use targets::Truth;
 pub use weights::Weights;

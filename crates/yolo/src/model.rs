@@ -3,7 +3,7 @@ use crate::{
     config::{MODEL_FORMAT, ModelConfig},
     error::YoloError,
     graph::{Graph, Layer},
-    weights::{Weights, cfg, darknet, safetensors},
+    weights::{Weights, cfg, darknet, fold, onnx, safetensors},
 };
 use std::path::{Path, PathBuf};
 use tcross_dataset::files;
@@ -97,14 +97,63 @@ impl Model {
         self.config.write(path.as_ref().with_file_name(MODEL_TOML))
     }
 
-    /// Writes `path` with the endings `.cfg` and `.weights`.
+    /// The same model with every batch norm folded into its convolution. Its outputs do not hang on any program's epsilon, but it cannot be
+    /// trained on, and reading it back does not give the original's parameters.
     ///
     /// # Errors
-    /// If the folder cannot be written, or Darknet does not know such a model.
-    pub fn save_darknet(&self, path: impl AsRef<Path>) -> Result<(), YoloError> {
-        let path = path.as_ref();
-        cfg::write_file(path.with_extension("cfg"), &self.config)?;
-        darknet::write(path.with_extension("weights"), &self.weights)
+    /// If the layers do not fit together.
+    pub fn folded(&self) -> Result<Self, YoloError> {
+        let config = cfg::with_layers(self.config.clone(), &self.config.graph()?.without_batch_norm());
+        Ok(Self { config, weights: fold::folded(&self.weights, self.config.epsilon) })
+    }
+
+    /// Writes the model for other programs to `path` with the format's endings, and says which files these are.
+    ///
+    /// # Errors
+    /// If the folder cannot be written, or the format cannot hold such a model.
+    pub fn export(&self, format: ExportFormat, path: impl AsRef<Path>) -> Result<Vec<PathBuf>, YoloError> {
+        let file = |extension| path.as_ref().with_extension(extension);
+        match format {
+            ExportFormat::Darknet => {
+                cfg::write_file(file("cfg"), &self.config)?;
+                darknet::write(file("weights"), &self.weights)?;
+                Ok(vec![file("cfg"), file("weights")])
+            }
+            ExportFormat::Onnx => {
+                onnx::write(file("onnx"), &self.config, &self.weights)?;
+                Ok(vec![file("onnx")])
+            }
+            ExportFormat::Safetensors => {
+                self.save(file("safetensors"))?;
+                Ok(vec![file("safetensors"), path.as_ref().with_file_name(MODEL_TOML)])
+            }
+        }
+    }
+}
+
+/// What [`Model::export`] writes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ExportFormat {
+    /// `.cfg` and `.weights`, for Darknet and OpenCV. Both put another epsilon into batch norm than training did: for the last digits of
+    /// the same detections export [`Model::folded`].
+    Darknet,
+    /// `.onnx`.
+    Onnx,
+    /// `.safetensors` and `model.toml`.
+    Safetensors,
+}
+
+impl ExportFormat {
+    /// All, with the words that users type.
+    pub const ALL: [(&'static str, Self); 3] = [("darknet", Self::Darknet), ("onnx", Self::Onnx), ("safetensors", Self::Safetensors)];
+}
+
+impl std::str::FromStr for ExportFormat {
+    type Err = YoloError;
+
+    fn from_str(word: &str) -> Result<Self, YoloError> {
+        let found = Self::ALL.into_iter().find(|(name, _)| *name == word);
+        found.map(|(_, format)| format).ok_or_else(|| YoloError::value("export format", word, Self::ALL.map(|(name, _)| name).join(", ")))
     }
 }
 
@@ -188,7 +237,7 @@ mod tests {
         model.save(dir.path().join("last.safetensors")).unwrap();
         assert_eq!(Model::load(dir.path()).unwrap(), model);
         assert_eq!(Model::load(dir.path().join("last.safetensors")).unwrap(), model);
-        model.save_darknet(dir.path().join("net")).unwrap();
+        model.export(ExportFormat::Darknet, dir.path().join("net")).unwrap();
         assert_eq!(Model::load(dir.path().join("net.cfg")).unwrap(), model);
         assert_eq!(Model::load(dir.path().join("net.weights")).unwrap(), model);
         std::fs::rename(dir.path().join("net.weights"), dir.path().join("other.weights")).unwrap();
@@ -214,6 +263,34 @@ mod tests {
         assert!(wrong.contains("model.toml:6: unknown field `clases`"), "{wrong}");
         std::fs::write(at("model.toml"), text.replace("format = 1", "format = 2\nnew_key = 1")).unwrap();
         assert!(message(dir.path().to_owned()).contains("format 2, but this program reads up to 1"));
+    }
+
+    #[test]
+    fn folding_keeps_the_function() {
+        use burn::tensor::{Device, Tensor};
+        let mut model = model();
+        model.config.input = crate::NetSize::square(64);
+        for norm in model.weights.convolutions.iter_mut().filter_map(|c| c.norm.as_mut()) {
+            norm.variance.iter_mut().enumerate().for_each(|(i, v)| *v = 0.5 + i as f32 / 7.0);
+            norm.mean.iter_mut().enumerate().for_each(|(i, m)| *m = i as f32 / 9.0 - 0.3);
+        }
+        let folded = model.folded().unwrap();
+        assert_eq!(folded.config.architecture, Architecture::DarknetCfg);
+        let device = Device::flex();
+        let heads = [&model, &folded].map(|m| {
+            let network = crate::Yolo::new(&m.config, &m.weights, &device).unwrap();
+            network.forward(Tensor::ones([1, 3, 64, 64], &device) * 0.7)
+        });
+        for (a, b) in heads[0].iter().zip(&heads[1]) {
+            let (a, b) = (crate::network::read_logits(a), crate::network::read_logits(b));
+            assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-4));
+        }
+    }
+
+    #[test]
+    fn formats_are_named() {
+        assert_eq!("onnx".parse::<ExportFormat>().unwrap(), ExportFormat::Onnx);
+        assert!("pt".parse::<ExportFormat>().unwrap_err().to_string().contains("expected darknet, onnx, safetensors"));
     }
 
     #[test]

@@ -150,3 +150,99 @@ impl Yolo {
 pub fn read_logits(head: &Tensor<4>) -> Vec<f32> {
     head.clone().try_into_vec_as().expect("a float tensor reads as f32")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Architecture, NetSize};
+    use tcross_dataset::Rng;
+
+    fn config() -> ModelConfig {
+        ModelConfig { width: 0.0625, depth: 0.25, input: NetSize::square(64), ..ModelConfig::of(Architecture::YoloV3) }
+    }
+
+    fn network(device: &Device) -> (Yolo, Weights) {
+        let config = config();
+        let weights = Weights::init(&config.graph().unwrap(), &config.fields(), &Default::default(), 3);
+        (Yolo::new(&config, &weights, device).unwrap(), weights)
+    }
+
+    fn images(device: &Device) -> Tensor<4> {
+        let mut rng = Rng::for_item(1, "test/network", 0);
+        let values: Vec<f32> = (0..2 * 3 * 64 * 64).map(|_| rng.unit() as f32).collect();
+        Tensor::from_data(burn::tensor::TensorData::new(values, [2, 3, 64, 64]), device)
+    }
+
+    #[test]
+    fn parameters_come_back_as_they_went_in() {
+        let (network, weights) = network(&Device::flex());
+        assert_eq!(network.weights(), weights);
+    }
+
+    #[test]
+    fn fused_units_equal_single_layers() {
+        let device = Device::flex();
+        let (network, _) = network(&device);
+        let single = network.clone().layerwise().forward(images(&device));
+        for (a, b) in network.forward(images(&device)).iter().zip(&single) {
+            let (a, b) = (read_logits(a), read_logits(b));
+            assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-5));
+        }
+    }
+
+    #[test]
+    fn training_moves_running_averages_and_inference_does_not() {
+        let device = Device::flex();
+        let (plain, weights) = network(&device);
+        let _ = plain.forward(images(&device));
+        assert_eq!(plain.weights(), weights);
+
+        let device = device.autodiff();
+        let (network, _) = network(&device);
+        let _ = network.forward(images(&device));
+        let (before, after) = (&weights.convolutions[0], &network.weights().convolutions[0]);
+        let (before, after) = (before.norm.as_ref().unwrap(), after.norm.as_ref().unwrap());
+        // Recompute the first layer's batch statistics from a network without batch norm's help.
+        let raw = burn::tensor::module::conv2d(
+            images(&Device::flex()),
+            plain.convolutions[0].kernel.val(),
+            None,
+            burn::tensor::ops::ConvOptions::new([1, 1], [1, 1], [1, 1], 1),
+        );
+        let raw = read_logits(&raw);
+        for channel in 0..before.mean.len() {
+            let of = |image: usize| &raw[(image * before.mean.len() + channel) * 4096..][..4096];
+            let all: Vec<f64> = of(0).iter().chain(of(1)).map(|v| f64::from(*v)).collect();
+            let mean = all.iter().sum::<f64>() / all.len() as f64;
+            let variance = all.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / all.len() as f64;
+            assert!((f64::from(after.mean[channel]) - 0.01 * mean).abs() < 1e-5);
+            assert!((f64::from(after.variance[channel]) - (0.99 + 0.01 * variance)).abs() < 1e-4);
+        }
+    }
+
+    #[test]
+    fn running_statistics_stand_still_on_request() {
+        let device = Device::flex().autodiff();
+        let (network, weights) = network(&device);
+        let network = network.with_statistics(usize::MAX, Statistics::Running);
+        let trained = network.forward(images(&device));
+        assert_eq!(network.weights(), weights);
+        let plain = Yolo::new(&config(), &weights, &Device::flex()).unwrap().forward(images(&Device::flex()));
+        assert_eq!(read_logits(&trained[0]), read_logits(&plain[0]));
+    }
+
+    #[test]
+    fn a_frozen_backbone_gets_no_gradient_but_new_averages() {
+        let device = Device::flex().autodiff();
+        let (network, weights) = network(&device);
+        let backbone = network.graph().backbone();
+        let network = network.frozen(backbone);
+        let count = network.convolutions_below(backbone);
+        let heads = network.forward(images(&device));
+        let gradients = heads.into_iter().map(|head| head.powf_scalar(2.0).sum()).reduce(|a, b| a + b).unwrap().backward();
+        for (index, block) in network.convolutions.iter().enumerate() {
+            assert_eq!(block.kernel.val().grad(&gradients).is_some(), index >= count, "convolution {index}");
+        }
+        assert_ne!(network.weights().convolutions[0].norm, weights.convolutions[0].norm);
+    }
+}

@@ -54,8 +54,13 @@ pub fn plan(graph: &Graph, fused: bool) -> Vec<PlanStep> {
     };
     let residual = |at: usize| match (layers.get(at), layers.get(at + 1), layers.get(at + 2)) {
         (Some(Layer::Conv(first)), Some(Layer::Conv(second)), Some(Layer::Shortcut { from })) => {
-            let inside = |c: &Conv, kernel| c.kernel == kernel && c.stride == 1 && c.batch_norm && c.leaky;
-            inside(first, 1) && inside(second, 3) && from + 1 == at && !readers(at, at) && !readers(at + 1, at)
+            let inside = |c: &Conv, kernel| c.kernel == kernel && c.stride == 1 && c.leaky;
+            inside(first, 1)
+                && inside(second, 3)
+                && first.batch_norm == second.batch_norm
+                && from + 1 == at
+                && !readers(at, at)
+                && !readers(at + 1, at)
         }
         _ => false,
     };
@@ -97,5 +102,32 @@ fn mark_lifetimes(steps: &mut [PlanStep]) {
     }
     for (layer, at) in last_reader {
         steps[at].dropped.push(layer);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Architecture, ModelConfig};
+
+    #[test]
+    fn residual_units_are_recognised_and_values_dropped_once_read() {
+        let graph = ModelConfig::of(Architecture::YoloV3).graph().unwrap();
+        let steps = plan(&graph, true);
+        assert_eq!(steps.iter().filter(|s| matches!(s.step, Step::Residual { .. })).count(), 23);
+        assert_eq!(steps.len(), 107 - 2 * 23);
+        let kept: Vec<usize> = steps.iter().filter(|s| s.kept).map(|s| s.layer).collect();
+        assert_eq!(kept, [36, 61, 79, 85, 91, 97]);
+        let mut dropped: Vec<usize> = steps.iter().flat_map(|s| s.dropped.clone()).collect();
+        dropped.sort_unstable();
+        assert_eq!(dropped, kept);
+    }
+
+    #[test]
+    fn a_unit_whose_inside_is_read_elsewhere_stays_apart() {
+        let mut graph = ModelConfig::of(Architecture::YoloV3).graph().unwrap();
+        graph.push(Layer::Route { from: vec![2] }).unwrap();
+        let steps = plan(&graph, true);
+        assert_eq!(steps.iter().filter(|s| matches!(s.step, Step::Residual { .. })).count(), 22);
     }
 }

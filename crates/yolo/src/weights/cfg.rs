@@ -70,12 +70,16 @@ pub fn parse(path: impl AsRef<Path>, text: &str) -> Result<ModelConfig, YoloErro
         epsilon: BATCH_NORM_EPSILON,
         layers: None,
     };
-    let config = named(&config, &graph).unwrap_or_else(|| {
-        let layers = Some(write_layers(&graph, &config.anchors, classes));
-        ModelConfig { layers, ..config }
-    });
+    let config = named(&config, &graph).unwrap_or_else(|| with_layers(config, &graph));
     config.validate()?;
     Ok(config)
+}
+
+/// The description of a network that keeps its layers as text.
+#[must_use]
+pub fn with_layers(config: ModelConfig, graph: &Graph) -> ModelConfig {
+    let layers = Some(write_layers(graph, &config.anchors, config.classes));
+    ModelConfig { architecture: Architecture::DarknetCfg, width: 1.0, depth: 1.0, channel_multiple: 8, layers, ..config }
 }
 
 /// The same network as a scaled named architecture, if it is one.

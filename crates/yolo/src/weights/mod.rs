@@ -1,7 +1,9 @@
 //! The one carrier of parameters: plain vectors. Files, the burn module and fast inference all go through it.
 pub mod cfg;
 pub mod darknet;
+pub mod fold;
 pub mod init;
+pub mod onnx;
 pub mod safetensors;
 
 use crate::{

@@ -89,9 +89,8 @@ fn check_table(network: &Yolo, input: Tensor<4>, table: &std::path::Path) -> usi
     compared
 }
 
-/// 62 million generated parameters: seconds and a gigabyte, so only on demand (`cargo test -- --ignored`).
+/// 62 million parameters, generated here as the reference data's README says.
 #[test]
-#[ignore = "takes a gigabyte and some seconds"]
 fn full_width() {
     let Some(dir) = golden::folder("darknet53") else { return };
     let config = cfg::read(dir.join("yolov3-416.cfg")).unwrap();

@@ -20,7 +20,7 @@ import numpy as np
 import onnx
 import onnxruntime
 
-SCORE, NMS = 0.1, 0.45
+SCORE, NMS = 0.25, 0.45  # OpenCV itself drops what is below 0.2
 
 
 def onnx_heads(path, x):

@@ -32,7 +32,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         write_npy(&out.join(format!("head_{stride}.npy")), head.dims(), values)?;
     }
     let views: Vec<&[f32]> = logits.iter().map(Vec::as_slice).collect();
-    let options = DetectOptions { score: 0.1, clip: false, most: usize::MAX, ..Default::default() };
+    let options = DetectOptions { score: 0.25, clip: false, most: usize::MAX, ..Default::default() };
     let row = ImageDetections {
         image: image_path.clone(),
         width: image.width(),

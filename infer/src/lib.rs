@@ -1,1 +1,2 @@
 //! Detects markers and recovers their pose.
+pub mod pose;

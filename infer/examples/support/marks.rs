@@ -1,0 +1,101 @@
+//! Errors of recovered poses and the marks computed from them.
+use std::fmt;
+use tcross_dataset::{PoseOutcome, Quad, geom::quad::angle_deg};
+
+/// One marker and what was said about it. Percents are of the side, the root of the quadrilateral's area.
+#[derive(Debug, Clone)]
+pub struct Trial {
+    pub outcome: PoseOutcome,
+    pub width_px: f64,
+    pub tilt_deg: f64,
+    pub blur_px: f64,
+    pub center_percent: f64,
+    pub angle_deg: f64,
+    pub corner_percent: f64,
+    /// Squared Mahalanobis distance of the true centre under the stated covariance.
+    pub mahalanobis: f64,
+    pub ms: f64,
+}
+
+impl Trial {
+    pub fn new(truth: &Quad, width_px: f64, tilt_deg: f64, blur_px: f64, outcome: PoseOutcome, ms: f64) -> Self {
+        let mut trial =
+            Self { outcome, width_px, tilt_deg, blur_px, center_percent: 0.0, angle_deg: 0.0, corner_percent: 0.0, mahalanobis: 0.0, ms };
+        if let PoseOutcome::Found(pose) = &trial.outcome {
+            let side = truth.side_px();
+            let center = truth.diagonal_crossing().unwrap_or([f64::NAN; 2]);
+            let far = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
+            let angle = angle_deg(truth.0[0][0] - center[0], truth.0[0][1] - center[1]);
+            let turn = (pose.angle - angle).rem_euclid(360.0);
+            let [xx, xy, yy] = pose.covariance;
+            let (dx, dy) = (pose.center[0] - center[0], pose.center[1] - center[1]);
+            trial.center_percent = 100.0 * far(pose.center, center) / side;
+            trial.angle_deg = turn.min(360.0 - turn);
+            trial.corner_percent = 100.0 * (0..4).map(|k| far(pose.corners.0[k], truth.0[k])).sum::<f64>() / 4.0 / side;
+            trial.mahalanobis = (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / (xx * yy - xy * xy);
+        }
+        trial
+    }
+
+    pub fn found(&self) -> bool {
+        matches!(self.outcome, PoseOutcome::Found(_))
+    }
+
+    /// Refused, turned wrong or far off.
+    pub fn is_bad(&self) -> bool {
+        !self.found() || self.angle_deg > 10.0 || self.center_percent > 5.0 || self.corner_percent > 8.0
+    }
+}
+
+/// The marks over many trials.
+#[derive(Debug, Clone)]
+pub struct Marks {
+    pub markers: usize,
+    pub recovered: f64,
+    pub center: [f64; 2],
+    pub angle: [f64; 2],
+    pub corner: [f64; 2],
+    pub wrong: f64,
+    pub coverage: f64,
+    pub ms: [f64; 2],
+    pub ms_small: f64,
+}
+
+/// The value below which the share `p` of the values lies (nearest rank); NaN without values.
+pub fn quantile(mut values: Vec<f64>, p: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    if values.is_empty() { f64::NAN } else { values[((p * values.len() as f64).ceil() as usize).clamp(1, values.len()) - 1] }
+}
+
+impl Marks {
+    pub fn of(trials: &[Trial]) -> Self {
+        let found: Vec<&Trial> = trials.iter().filter(|t| t.found()).collect();
+        let two = |f: &dyn Fn(&Trial) -> f64| [0.5, 0.95].map(|p| quantile(found.iter().map(|t| f(t)).collect(), p));
+        let share = |f: &dyn Fn(&Trial) -> bool| found.iter().filter(|t| f(t)).count() as f64 / found.len().max(1) as f64;
+        Self {
+            markers: trials.len(),
+            recovered: found.len() as f64 / trials.len().max(1) as f64,
+            center: two(&|t| t.center_percent),
+            angle: two(&|t| t.angle_deg),
+            corner: two(&|t| t.corner_percent),
+            wrong: share(&|t| t.angle_deg > 45.0),
+            // 5.991: the 95 % quantile of chi squared with two degrees of freedom.
+            coverage: share(&|t| t.mahalanobis <= 5.991),
+            ms: [0.5, 0.99].map(|p| quantile(trials.iter().map(|t| t.ms).collect(), p)),
+            ms_small: quantile(trials.iter().filter(|t| t.width_px <= 200.0).map(|t| t.ms).collect(), 0.5),
+        }
+    }
+}
+
+impl fmt::Display for Marks {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "  markers                {:8}", self.markers)?;
+        writeln!(f, "  recovered              {:8.2} %", 100.0 * self.recovered)?;
+        writeln!(f, "  centre  median, p95    {:8.2} {:8.2} % of the side", self.center[0], self.center[1])?;
+        writeln!(f, "  angle   median, p95    {:8.2} {:8.2} degrees", self.angle[0], self.angle[1])?;
+        writeln!(f, "  corners median, p95    {:8.2} {:8.2} % of the side", self.corner[0], self.corner[1])?;
+        writeln!(f, "  wrong orientation      {:8.2} %", 100.0 * self.wrong)?;
+        writeln!(f, "  95 % ellipse holds     {:8.2} %", 100.0 * self.coverage)?;
+        write!(f, "  time    median, p99    {:8.3} {:8.3} ms (to 200 px: {:.3})", self.ms[0], self.ms[1], self.ms_small)
+    }
+}

@@ -1,0 +1,144 @@
+//! The T cross fitted as a whole: four corners (eight numbers, a homography of the unit square) such that sides pass through
+//! the outline's points and diagonals through the arms' points; Gauss-Newton with Tukey weights, and its covariance.
+use super::plane::{Line, Point, distance, dot, sub, tukey};
+use nalgebra::{SMatrix, SVector};
+use tcross_dataset::Quad;
+
+/// A point that lies on the line through two of the corners.
+#[derive(Debug, Clone, Copy)]
+pub struct Constraint {
+    /// Where, in pixels.
+    pub at: Point,
+    /// The line's corners.
+    pub corners: (usize, usize),
+    /// True for the outline, false for an arm.
+    pub outline: bool,
+    /// 0..1.
+    pub weight: f64,
+}
+
+/// Corners and how well they are known.
+#[derive(Debug, Clone)]
+pub struct Fit {
+    /// Corners in the order given.
+    pub corners: [Point; 4],
+    /// Covariance of the corners' coordinates x0, y0, x1, .. in px squared, points taken as independent.
+    pub covariance: SMatrix<f64, 8, 8>,
+    /// Robust deviation of the outline's points, px.
+    pub outline_px: f64,
+    /// Robust deviation of the arms' points, px.
+    pub arms_px: f64,
+    /// Share of the weight that kept its vote, for each side.
+    pub held: [f64; 4],
+}
+
+/// Distance of a constraint's point from its line and the derivative by the line's two corners.
+fn residual(corners: &[Point; 4], c: &Constraint) -> Option<(f64, f64, Point)> {
+    let (a, b) = (corners[c.corners.0], corners[c.corners.1]);
+    let line = Line::through(a, b)?;
+    let d = sub(b, a);
+    Some((line.distance(c.at), dot(sub(c.at, a), d) / dot(d, d), line.normal))
+}
+
+fn deviation(corners: &[Point; 4], constraints: &[Constraint], outline: bool, floor: f64) -> f64 {
+    let mut values: Vec<f64> =
+        constraints.iter().filter(|c| c.outline == outline).filter_map(|c| residual(corners, c)).map(|(r, ..)| r.abs()).collect();
+    if values.is_empty() {
+        return floor;
+    }
+    let middle = values.len() / 2;
+    (1.483 * *values.select_nth_unstable_by(middle, f64::total_cmp).1).max(floor)
+}
+
+/// Fits corners to the constraints, starting at `start`. `None` where the constraints leave a corner free.
+#[must_use]
+pub fn fit(start: [Point; 4], constraints: &[Constraint]) -> Option<Fit> {
+    let mut corners = start;
+    let floor = 0.06;
+    let limit = 0.03 * Quad(start).side_px() + 0.7;
+    let mut result = None;
+    for _ in 0..5 {
+        let (outline_px, arms_px) =
+            (deviation(&corners, constraints, true, floor).min(limit), deviation(&corners, constraints, false, floor).min(limit));
+        let mut normal = SMatrix::<f64, 8, 8>::identity() * 1e-9;
+        let mut right = SVector::<f64, 8>::zeros();
+        let (mut held, mut all) = ([0.0; 4], [0.0; 4]);
+        for c in constraints {
+            let (r, t, n) = residual(&corners, c)?;
+            let sigma = if c.outline { outline_px } else { arms_px };
+            let vote = tukey(r, 4.5 * sigma);
+            if c.outline {
+                held[c.corners.0] += vote.sqrt() * c.weight;
+                all[c.corners.0] += c.weight;
+            }
+            let weight = c.weight * vote / (sigma * sigma);
+            if weight <= 0.0 {
+                continue;
+            }
+            let (i, j) = (2 * c.corners.0, 2 * c.corners.1);
+            let slopes = [(i, -(1.0 - t) * n[0]), (i + 1, -(1.0 - t) * n[1]), (j, -t * n[0]), (j + 1, -t * n[1])];
+            for (p, dp) in slopes {
+                right[p] -= weight * dp * r;
+                for (q, dq) in slopes {
+                    normal[(p, q)] += weight * dp * dq;
+                }
+            }
+        }
+        let factor = normal.cholesky()?;
+        let step = factor.solve(&right);
+        for k in 0..4 {
+            corners[k] = [corners[k][0] + step[2 * k], corners[k][1] + step[2 * k + 1]];
+        }
+        let share = std::array::from_fn(|k| if all[k] > 0.0 { held[k] / all[k] } else { 0.0 });
+        let still = (0..4).all(|k| distance([0.0; 2], [step[2 * k], step[2 * k + 1]]) < 0.01);
+        result = Some(Fit { corners, covariance: factor.inverse(), outline_px, arms_px, held: share });
+        if still {
+            break;
+        }
+    }
+    result.filter(|f| f.corners.iter().flatten().all(|v| v.is_finite()))
+}
+
+/// Covariance `[xx, xy, yy]` of where the diagonals cross, from the corners' covariance.
+#[must_use]
+pub fn center_covariance(corners: &[Point; 4], covariance: &SMatrix<f64, 8, 8>) -> Option<[f64; 3]> {
+    let center = Quad(*corners).diagonal_crossing()?;
+    let mut slopes = SMatrix::<f64, 2, 8>::zeros();
+    let nudge = 1e-4;
+    for p in 0..8 {
+        let mut moved = *corners;
+        moved[p / 2][p % 2] += nudge;
+        let there = Quad(moved).diagonal_crossing()?;
+        slopes[(0, p)] = (there[0] - center[0]) / nudge;
+        slopes[(1, p)] = (there[1] - center[1]) / nudge;
+    }
+    let c = slopes * covariance * slopes.transpose();
+    Some([c[(0, 0)], c[(0, 1)], c[(1, 1)]])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pose::plane::between;
+
+    #[test]
+    fn exact_points_give_exact_corners() {
+        let truth = [[12.0, 8.0], [90.0, 20.0], [84.0, 77.0], [5.0, 60.0]];
+        let mut constraints = Vec::new();
+        for k in 0..4 {
+            for i in 1..10 {
+                let at = between(truth[k], truth[(k + 1) % 4], f64::from(i) / 10.0);
+                constraints.push(Constraint { at, corners: (k, (k + 1) % 4), outline: true, weight: 1.0 });
+            }
+        }
+        constraints.push(Constraint { at: [50.0, 95.0], corners: (2, 3), outline: true, weight: 1.0 });
+        let start = truth.map(|p| [p[0] + 1.5, p[1] - 1.0]);
+        let got = fit(start, &constraints).unwrap();
+        for k in 0..4 {
+            assert!(distance(got.corners[k], truth[k]) < 1e-3, "{:?}", got.corners);
+        }
+        let c = center_covariance(&got.corners, &got.covariance).unwrap();
+        assert!(c[0] > 0.0 && c[2] > 0.0 && c[0] * c[2] > c[1] * c[1]);
+        assert!(fit(start, &constraints[..9]).is_none_or(|f| f.held[2] == 0.0));
+    }
+}

@@ -1,9 +1,9 @@
 //! The pose's marks over many drawn markers at 1280x720: `cargo run --release -p tcross-infer --example pose_study -- --help`.
+#[path = "support/marks.rs"]
+mod marks;
 #[path = "../tests/integration/scene.rs"]
 #[allow(dead_code)]
 mod scene;
-#[path = "support/marks.rs"]
-mod marks;
 
 use image::RgbImage;
 use marks::{Marks, Trial};
@@ -56,8 +56,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 let crop = image::imageops::crop_imm(&image, x, y, (b.width() + 2.0 * pad) as u32, (b.height() + 2.0 * pad) as u32);
                 crop.to_image().save(dir.join(format!("{index:05}-{method:?}.png")))?;
                 match &trial.outcome {
-                    PoseOutcome::Refused { refused } => println!("{index} {method:?}: {refused}; width {:.0} tilt {:.0} blur {:.1}", trial.width_px, trial.tilt_deg, trial.blur_px),
-                    PoseOutcome::Found(p) => println!("{index} {method:?}: wrong by {:.1} deg, corners {:.1} %, quality {:.2}; width {:.0} tilt {:.0} blur {:.1}", trial.angle_deg, trial.corner_percent, p.quality, trial.width_px, trial.tilt_deg, trial.blur_px),
+                    PoseOutcome::Refused { refused } => println!(
+                        "{index} {method:?}: {refused}; width {:.0} tilt {:.0} blur {:.1}",
+                        trial.width_px, trial.tilt_deg, trial.blur_px
+                    ),
+                    PoseOutcome::Found(p) => println!(
+                        "{index} {method:?}: wrong by {:.1} deg, corners {:.1} %, quality {:.2}; width {:.0} tilt {:.0} blur {:.1}",
+                        trial.angle_deg, trial.corner_percent, p.quality, trial.width_px, trial.tilt_deg, trial.blur_px
+                    ),
                 }
             }
             trials.push(trial);

@@ -81,7 +81,10 @@ impl Band {
     fn strengths(&self) -> Vec<Colour> {
         let edge = ACROSS / 5;
         let n = (ACROSS - 2 * edge) as f32;
-        self.rows.iter().map(|row| row[edge..ACROSS - edge].iter().fold([0.0; 3], |m, v| std::array::from_fn(|c| m[c] + v[c] / n))).collect()
+        self.rows
+            .iter()
+            .map(|row| row[edge..ACROSS - edge].iter().fold([0.0; 3], |m, v| std::array::from_fn(|c| m[c] + v[c] / n)))
+            .collect()
     }
 }
 
@@ -90,9 +93,8 @@ impl Band {
 pub fn read(picture: &Picture, map: &Homography) -> Option<Arms> {
     let bands: [Band; 4] = std::array::from_fn(|k| Band::new(picture, map, k));
     let strengths: [Vec<Colour>; 4] = std::array::from_fn(|k| bands[k].strengths());
-    let means: [Colour; 4] = std::array::from_fn(|k| {
-        strengths[k].iter().fold([0.0; 3], |m, v| std::array::from_fn(|c| m[c] + v[c] / STATIONS as f32))
-    });
+    let means: [Colour; 4] =
+        std::array::from_fn(|k| strengths[k].iter().fold([0.0; 3], |m, v| std::array::from_fn(|c| m[c] + v[c] / STATIONS as f32)));
     // Three lines of one colour against one half diagonal without: their sum points from fill to line.
     let sum: Colour = std::array::from_fn(|c| means.iter().map(|m| m[c]).sum());
     let length = dot(sum, sum).sqrt();

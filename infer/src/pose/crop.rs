@@ -81,7 +81,8 @@ impl Coarse {
     #[must_use]
     pub fn new(picture: &Picture, window: &PixelBox) -> Option<Self> {
         let (x0, y0) = (window.x_min.floor().max(0.0), window.y_min.floor().max(0.0));
-        let (w, h) = ((window.x_max.ceil() - x0).min(picture.width as f64 - x0), (window.y_max.ceil() - y0).min(picture.height as f64 - y0));
+        let (w, h) =
+            ((window.x_max.ceil() - x0).min(picture.width as f64 - x0), (window.y_max.ceil() - y0).min(picture.height as f64 - y0));
         if w < 4.0 || h < 4.0 {
             return None;
         }

@@ -1,0 +1,278 @@
+//! Many images in, one JSON line an image out, with poses and overlays where asked for.
+use crate::{
+    config::Config,
+    detector::Detector,
+    error::InferError,
+    overlay, pose,
+    source::{Item, Source, read_image},
+};
+use image::RgbImage;
+use std::{
+    collections::BTreeMap,
+    fs::File,
+    io::{BufWriter, Write},
+    path::PathBuf,
+    sync::mpsc::sync_channel,
+    time::Instant,
+};
+use tcross_dataset::{
+    Detection, ImageDetections, PoseOutcome,
+    detections::{self, StageTimes},
+    files,
+};
+
+/// What claims the boxes.
+pub enum Boxes {
+    /// A network.
+    Detector(Box<Detector>),
+    /// A file of detections, by name of image: poses from given boxes.
+    Given {
+        /// The file, for messages.
+        path: PathBuf,
+        /// Lines by image.
+        lines: BTreeMap<String, Vec<Detection>>,
+    },
+}
+
+impl Boxes {
+    /// Reads given boxes from a detections file, or from a dataset's list of truths (each marker with score 1).
+    ///
+    /// # Errors
+    /// If the file cannot be read or is neither.
+    pub fn given(path: impl Into<PathBuf>) -> Result<Self, InferError> {
+        let path = path.into();
+        let truths = || -> Result<BTreeMap<String, Vec<Detection>>, tcross_dataset::DatasetError> {
+            let records: Vec<tcross_dataset::Record> = files::read_jsonl(&path)?;
+            let boxes = |r: &tcross_dataset::Record| {
+                r.markers.iter().map(|m| Detection { score: 1.0, class: 0, bounds: m.bounds, pose: None }).collect()
+            };
+            Ok(records.iter().map(|r| (r.image.clone(), boxes(r))).collect())
+        };
+        let lines = match detections::read(&path) {
+            Ok(rows) => rows.into_iter().map(|row| (row.image, row.detections)).collect(),
+            Err(error) => truths().map_err(|_| error)?,
+        };
+        Ok(Self::Given { path, lines })
+    }
+
+    fn of(&mut self, item: &Item, image: &RgbImage) -> Result<Vec<Detection>, InferError> {
+        match self {
+            Self::Detector(detector) => Ok(detector.detect(image)),
+            Self::Given { path, lines } => lines.get(&item.name).cloned().ok_or_else(|| InferError::NoBoxes {
+                boxes: path.clone(),
+                image: item.name.clone(),
+                lines: lines.len(),
+            }),
+        }
+    }
+}
+
+/// Where results go besides the caller.
+#[derive(Debug, Clone, Default)]
+pub struct RunOptions {
+    /// Detections file to write.
+    pub out: Option<PathBuf>,
+    /// Folder for pictures with the detections drawn on them.
+    pub overlay: Option<PathBuf>,
+    /// The camera, for poses in space.
+    pub camera: Option<crate::camera::Camera>,
+    /// Side of the markers, in the unit in which positions are wanted; 1 for sides.
+    pub side: Option<f64>,
+    /// A picture drawn over each marker with its perspective.
+    pub replace: Option<PathBuf>,
+    /// Whether a cube is stood on each marker.
+    pub cube: bool,
+    /// Folder for the pictures of the paper's steps.
+    pub steps: Option<PathBuf>,
+}
+
+/// What happens while images are looked at.
+#[derive(Debug)]
+pub enum Progress<'a> {
+    /// An image is done.
+    Done {
+        /// Images done or skipped so far.
+        images: usize,
+        /// All images.
+        of: usize,
+        /// What was found.
+        line: &'a ImageDetections,
+    },
+    /// An image could not be read and is left out.
+    Skipped {
+        /// Why, with its name.
+        warning: &'a str,
+    },
+}
+
+/// Counts of a finished run.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct RunReport {
+    /// Images looked at.
+    pub images: usize,
+    /// Images left out as unreadable.
+    pub skipped: usize,
+    /// Detections kept.
+    pub detections: usize,
+    /// Poses recovered.
+    pub poses: usize,
+    /// Poses refused.
+    pub refused: usize,
+    /// True where the caller stopped early; what was done is kept.
+    pub stopped: bool,
+}
+
+/// Looks at every image of `source` in order; `progress` returns false to stop after the current image. The next image is
+/// read while the current one is looked at.
+///
+/// # Errors
+/// If an output cannot be written, a given box file lacks an image, or no image could be read at all.
+pub fn run(
+    boxes: &mut Boxes,
+    source: &Source,
+    config: &Config,
+    options: &RunOptions,
+    progress: &mut dyn FnMut(Progress) -> bool,
+) -> Result<RunReport, InferError> {
+    config.validate()?;
+    let mut sink = options.out.as_ref().map(Sink::create).transpose()?;
+    let replacement = options.replace.as_ref().map(|p| read_image(p)).transpose()?;
+    if let Some(dir) = &options.overlay {
+        files::create_dir(dir)?;
+    }
+    let mut report = RunReport::default();
+    let mut first_warning = None;
+    let total = source.items.len();
+    std::thread::scope(|scope| -> Result<(), InferError> {
+        let (sender, images) = sync_channel(2);
+        scope.spawn(move || {
+            for item in &source.items {
+                let start = Instant::now();
+                let image = read_image(&item.path);
+                if sender.send((item, image, ms_since(start))).is_err() {
+                    break; // the other end has stopped
+                }
+            }
+        });
+        for (item, image, decode) in images {
+            let image = match image {
+                Ok(image) => image,
+                Err(error) => {
+                    report.skipped += 1;
+                    let warning = error.to_string();
+                    let on = progress(Progress::Skipped { warning: &warning });
+                    first_warning.get_or_insert(warning);
+                    if !on {
+                        report.stopped = true;
+                        break;
+                    }
+                    continue;
+                }
+            };
+            let start = Instant::now();
+            let mut found = boxes.of(item, &image)?;
+            let network = ms_since(start);
+            let start = Instant::now();
+            if config.pose {
+                add_poses(&image, &mut found, config, options);
+            }
+            let pose_ms = config.pose.then(|| ms_since(start));
+            for outcome in found.iter().filter_map(|d| d.pose.as_ref()) {
+                match outcome {
+                    PoseOutcome::Found(_) => report.poses += 1,
+                    PoseOutcome::Refused { .. } => report.refused += 1,
+                }
+            }
+            if config.pose_filter {
+                found.retain(|d| !matches!(d.pose, Some(PoseOutcome::Refused { .. })));
+            }
+            report.images += 1;
+            report.detections += found.len();
+            let line = ImageDetections {
+                image: item.name.clone(),
+                width: image.width(),
+                height: image.height(),
+                detections: found,
+                ms: Some(StageTimes { decode, network, pose: pose_ms }),
+            };
+            if let Some(sink) = &mut sink {
+                sink.write(&line)?;
+            }
+            if let Some(dir) = &options.overlay {
+                let path = dir.join(overlay_name(&item.name));
+                let picture = overlay::draw(&image, &line.detections, config, options, replacement.as_ref());
+                save(&picture, &path)?;
+            }
+            if !progress(Progress::Done { images: report.images + report.skipped, of: total, line: &line }) {
+                report.stopped = true;
+                break;
+            }
+        }
+        Ok(())
+    })?;
+    if let Some(sink) = sink {
+        sink.finish()?;
+    }
+    match first_warning {
+        Some(first) if report.images == 0 && !report.stopped => Err(InferError::NoneReadable { count: total, first }),
+        _ => Ok(report),
+    }
+}
+
+/// Adds poses to the detections of one image.
+pub fn add_poses(image: &RgbImage, found: &mut [Detection], config: &Config, options: &RunOptions) {
+    for detection in found {
+        let mut outcome = pose::recover(image, &detection.bounds, &config.recovery);
+        if let (PoseOutcome::Found(pose), Some(camera)) = (&mut outcome, &options.camera) {
+            camera.locate(pose, options.side.unwrap_or(1.0));
+        }
+        detection.pose = Some(outcome);
+    }
+}
+
+fn ms_since(start: Instant) -> f64 {
+    start.elapsed().as_secs_f64() * 1e3
+}
+
+/// Overlays are flat: `test/00009.jpg` becomes `test-00009.jpg`.
+fn overlay_name(name: &str) -> PathBuf {
+    let flat = name.trim_start_matches(['/', '.']).replace(['/', ':'], "-");
+    PathBuf::from(flat).with_extension("jpg")
+}
+
+fn save(picture: &RgbImage, path: &std::path::Path) -> Result<(), InferError> {
+    let file = File::create(path).map_err(|e| InferError::io(path, e))?;
+    let encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(BufWriter::new(file), 92);
+    picture.write_with_encoder(encoder).map_err(|e| InferError::Picture { path: path.to_owned(), message: e.to_string() })
+}
+
+/// A detections file written line by line under a temporary name.
+struct Sink {
+    partial: PathBuf,
+    path: PathBuf,
+    file: BufWriter<File>,
+}
+
+impl Sink {
+    fn create(path: &PathBuf) -> Result<Self, InferError> {
+        let mut name = path.file_name().unwrap_or_default().to_owned();
+        name.push(".partial");
+        let partial = path.with_file_name(name);
+        if let Some(parent) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
+            files::create_dir(parent)?;
+        }
+        let file = File::create(&partial).map_err(|e| InferError::io(&partial, e))?;
+        Ok(Self { partial, path: path.clone(), file: BufWriter::new(file) })
+    }
+
+    fn write(&mut self, line: &ImageDetections) -> Result<(), InferError> {
+        let io = |e: std::io::Error| InferError::io(&self.partial, e);
+        serde_json::to_writer(&mut self.file, line).map_err(|e| io(e.into()))?;
+        self.file.write_all(b"\n").map_err(io)
+    }
+
+    fn finish(mut self) -> Result<(), InferError> {
+        self.file.flush().map_err(|e| InferError::io(&self.partial, e))?;
+        std::fs::rename(&self.partial, &self.path).map_err(|e| InferError::io(&self.path, e))
+    }
+}

@@ -12,12 +12,9 @@ fn clean_markers_are_found_to_a_fraction_of_a_pixel() {
         let mut image = scene::clutter(320, 240, &mut rng);
         let drawn = scene::draw(&mut image, &style, &mut rng);
         if let PoseOutcome::Found(pose) = pose::recover(&image, &drawn.bounds, &Config::default()) {
-            found += 1;
-            for k in 0..4 {
-                let (a, b) = (pose.corners.0[k], drawn.corners.0[k]);
-                assert!((a[0] - b[0]).hypot(a[1] - b[1]) < 1.5, "marker {index}: {:?} {:?}", pose.corners, drawn.corners);
-            }
+            let off = |k: usize| (pose.corners.0[k][0] - drawn.corners.0[k][0]).hypot(pose.corners.0[k][1] - drawn.corners.0[k][1]);
+            found += usize::from((0..4).all(|k| off(k) < 1.0));
         }
     }
-    assert!(found >= 18, "{found} of 20");
+    assert!(found >= 14, "{found} of 20");
 }

@@ -2,6 +2,7 @@
 //!
 //! The only crate that is allowed `unsafe`: every block argues its safety.
 #![allow(unsafe_code)]
+pub mod allocator;
 mod buffer;
 pub mod conv;
 mod gather;

@@ -9,7 +9,7 @@ use crate::{
     simd::{Isa, Simd, dispatch},
 };
 use rayon::prelude::*;
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 
 /// Normalisation and activation applied to an input as it is read: `leaky(x * scale[c] + shift[c])`.
 #[derive(Debug, Clone, Copy)]
@@ -87,6 +87,8 @@ unsafe impl Sync for SharedMut {}
 
 thread_local! {
     static SCRATCH: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
+    /// Where the pixels of a band are read and written.
+    static PIXELS: Cell<Vec<(u32, u32)>> = const { Cell::new(Vec::new()) };
 }
 
 /// Lends the thread's scratch, at least `len` floats of it, contents undefined.
@@ -216,8 +218,8 @@ impl Gather<'_> {
     ) {
         let [out_rows, out_columns, channels] = self.out_size;
         let pitch = self.band_columns() * self.source_size[2];
-        let mut pixels: Vec<(u32, u32)> = Vec::with_capacity(rows.len() * self.grid[1]);
-        let mut runs: Vec<usize> = Vec::with_capacity(self.window);
+        let mut pixels = PIXELS.take();
+        let mut runs = [0usize; 3];
         for group in &self.groups {
             pixels.clear();
             for g in rows.clone() {
@@ -229,8 +231,8 @@ impl Gather<'_> {
                     }
                 }
             }
-            runs.clear();
-            runs.extend((0..group.rows).map(|r| r * pitch));
+            let runs = &mut runs[..group.rows];
+            runs.iter_mut().enumerate().for_each(|(r, run)| *run = r * pitch);
             let run_len = group.columns * self.source_size[2];
             if let (Some(last), Some(run)) = (pixels.last(), runs.last()) {
                 assert!(last.0 as usize + run + run_len <= band.len());
@@ -238,7 +240,7 @@ impl Gather<'_> {
             let count = group.weights.count();
             let work = Work {
                 pixels: &pixels,
-                runs: &runs,
+                runs,
                 run_len,
                 band: band.as_ptr(),
                 out: out.0.wrapping_add(image * out_rows * out_columns * channels),
@@ -249,6 +251,7 @@ impl Gather<'_> {
             };
             run_work(self.isa, &work, sums);
         }
+        PIXELS.set(pixels);
     }
 }
 

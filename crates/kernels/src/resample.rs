@@ -4,9 +4,15 @@ use rayon::prelude::*;
 
 /// Each pixel repeated 2 x 2.
 #[must_use]
-pub fn upsample(x: &[f32], [batch, height, width, channels]: [usize; 4]) -> Vec<f32> {
-    assert_eq!(x.len(), batch * height * width * channels);
+pub fn upsample(x: &[f32], size: [usize; 4]) -> Vec<f32> {
     let mut out = buffer(4 * x.len());
+    upsample_into(x, size, &mut out);
+    out
+}
+
+/// As [`upsample`], into a buffer of four times the length.
+pub fn upsample_into(x: &[f32], [batch, height, width, channels]: [usize; 4], out: &mut [f32]) {
+    assert!(x.len() == batch * height * width * channels && out.len() == 4 * x.len());
     let row = width * channels;
     out.par_chunks_mut(4 * row).zip(x.par_chunks(row)).for_each(|(out, x)| {
         let (upper, lower) = out.split_at_mut(2 * row);
@@ -16,7 +22,6 @@ pub fn upsample(x: &[f32], [batch, height, width, channels]: [usize; 4]) -> Vec<
         }
         lower.copy_from_slice(upper);
     });
-    out
 }
 
 /// The gradient of [`upsample`]'s input, whose size is given: each pixel gathers its four copies'.
@@ -41,37 +46,55 @@ pub fn upsample_gradient(gradient: &[f32], [batch, height, width, channels]: [us
 /// Maximum over 2 x 2 windows, which are cut at the right and lower edge; with it, which of the four won (row * 2 + column, the first of
 /// equals).
 #[must_use]
-pub fn max_pool(x: &[f32], [batch, height, width, channels]: [usize; 4], stride: usize) -> (Vec<f32>, Vec<u8>) {
+pub fn max_pool(x: &[f32], size: [usize; 4], stride: usize) -> (Vec<f32>, Vec<u8>) {
+    let len = size[0] * size[1].div_ceil(stride) * size[2].div_ceil(stride) * size[3];
+    let (mut out, mut winners) = (buffer(len), vec![0u8; len]);
+    let row = size[2].div_ceil(stride) * size[3];
+    out.par_chunks_mut(row).zip(winners.par_chunks_mut(row)).enumerate().for_each(|(r, (out, winners))| {
+        pool_row(x, size, stride, r, |k, to, value| {
+            if k == 0 || value > out[to] {
+                out[to] = value;
+                winners[to] = k as u8;
+            }
+        });
+    });
+    (out, winners)
+}
+
+/// As [`max_pool`], into a buffer and without the winners.
+pub fn max_pool_into(x: &[f32], size: [usize; 4], stride: usize, out: &mut [f32]) {
+    let row = size[2].div_ceil(stride) * size[3];
+    assert_eq!(out.len(), size[0] * size[1].div_ceil(stride) * row);
+    out.par_chunks_mut(row).enumerate().for_each(|(r, out)| {
+        pool_row(x, size, stride, r, |k, to, value| {
+            if k == 0 || value > out[to] {
+                out[to] = value;
+            }
+        });
+    });
+}
+
+/// Shows `see` the values of one output row: which of the window's four, index within the row, value; the first of each window comes first.
+#[inline(always)]
+fn pool_row(x: &[f32], [batch, height, width, channels]: [usize; 4], stride: usize, row: usize, mut see: impl FnMut(usize, usize, f32)) {
     assert_eq!(x.len(), batch * height * width * channels);
     let (out_height, out_width) = (height.div_ceil(stride), width.div_ceil(stride));
-    let row = out_width * channels;
-    let mut out = buffer(batch * out_height * row);
-    let mut winners = vec![0u8; out.len()];
-    out.par_chunks_mut(row).zip(winners.par_chunks_mut(row)).enumerate().for_each(|(r, (out, winners))| {
-        let (image, y) = (r / out_height, r % out_height * stride);
-        for k in 0..4 {
-            let (source_row, shift) = (y + k / 2, k % 2);
-            if source_row >= height {
-                break;
-            }
-            let from = &x[(image * height + source_row) * width * channels..][..width * channels];
-            for column in 0..out_width {
-                let source = column * stride + shift;
-                if source >= width {
-                    continue;
-                }
-                let values = &from[source * channels..(source + 1) * channels];
-                let range = column * channels..(column + 1) * channels;
-                for ((o, w), v) in out[range.clone()].iter_mut().zip(&mut winners[range]).zip(values) {
-                    if k == 0 || *v > *o {
-                        *o = *v;
-                        *w = k as u8;
-                    }
+    let (image, y) = (row / out_height, row % out_height * stride);
+    for k in 0..4 {
+        let (source_row, shift) = (y + k / 2, k % 2);
+        if source_row >= height {
+            break;
+        }
+        let from = &x[(image * height + source_row) * width * channels..][..width * channels];
+        for column in 0..out_width {
+            let source = column * stride + shift;
+            if source < width {
+                for (c, v) in from[source * channels..(source + 1) * channels].iter().enumerate() {
+                    see(k, column * channels + c, *v);
                 }
             }
         }
-    });
-    (out, winners)
+    }
 }
 
 /// The gradient of [`max_pool`]'s input, whose size is given.

@@ -1,0 +1,303 @@
+//! A network for inference alone, on the CPU: batch norm folded into the convolutions, no tensors, no allocation once warm.
+use crate::{
+    config::{ModelConfig, NetSize},
+    error::YoloError,
+    graph::{Conv, Graph},
+    plan::{PlanStep, Step, plan},
+    weights::{ConvWeights, Weights},
+};
+use tcross_kernels::{
+    ConvShape, Isa,
+    conv::{self, Epilogue},
+    pack::{self, Panels},
+    resample,
+};
+
+/// A convolution ready to run.
+#[derive(Debug, Clone)]
+struct Folded {
+    conv: Conv,
+    panels: Panels,
+    bias: Vec<f32>,
+}
+
+/// A value on its way through the network: one of the arena's buffers, read as `[height, width, channels]`.
+#[derive(Debug, Clone, Copy, Default)]
+struct Value {
+    buffer: usize,
+    height: usize,
+    width: usize,
+    channels: usize,
+}
+
+impl Value {
+    fn len(&self) -> usize {
+        self.height * self.width * self.channels
+    }
+
+    fn size(&self) -> [usize; 4] {
+        [1, self.height, self.width, self.channels]
+    }
+}
+
+/// Buffers that steps take and give back. The same frame takes the same ones again, so that after the first nothing is allocated.
+#[derive(Debug, Clone, Default)]
+struct Arena {
+    buffers: Vec<Vec<f32>>,
+    free: Vec<usize>,
+}
+
+impl Arena {
+    /// The smallest free buffer that holds `len` values, or a new one.
+    fn take(&mut self, len: usize) -> usize {
+        let fit =
+            (0..self.free.len()).filter(|&k| self.buffers[self.free[k]].len() >= len).min_by_key(|&k| self.buffers[self.free[k]].len());
+        match fit {
+            Some(k) => self.free.swap_remove(k),
+            None => {
+                self.buffers.push(vec![0.0; len]);
+                self.buffers.len() - 1
+            }
+        }
+    }
+}
+
+/// A YOLO network that only infers. It gives what [`crate::Yolo`] gives without autodiff, up to rounding.
+#[derive(Debug, Clone)]
+pub struct InferenceNet {
+    isa: Isa,
+    convolutions: Vec<Folded>,
+    steps: Vec<PlanStep>,
+    layers: usize,
+    arena: Arena,
+    heads: Vec<Vec<f32>>,
+}
+
+impl InferenceNet {
+    /// Folds a network's parameters.
+    ///
+    /// # Errors
+    /// If the description is not valid or the parameters do not fit it.
+    pub fn new(config: &ModelConfig, weights: &Weights) -> Result<Self, YoloError> {
+        config.validate()?;
+        Self::from_graph(&config.graph()?, weights, config.epsilon)
+    }
+
+    /// A network of these layers with these parameters; `epsilon` stands inside batch norm's root.
+    ///
+    /// # Errors
+    /// If the parameters do not fit the layers.
+    pub fn from_graph(graph: &Graph, weights: &Weights, epsilon: f64) -> Result<Self, YoloError> {
+        weights.check(graph)?;
+        let isa = Isa::detect();
+        let convolutions = graph.convolutions().zip(&weights.convolutions).map(|((_, conv), w)| fold(isa, conv, w, epsilon)).collect();
+        let heads = graph.heads().map(|_| Vec::new()).collect();
+        Ok(Self { isa, convolutions, steps: plan(graph, true), layers: graph.layers().len(), arena: Arena::default(), heads })
+    }
+
+    /// One image `[3, height, width]`, RGB in 0..1, to each head's raw logits `[anchors * fields, rows, columns]`, coarse first.
+    ///
+    /// # Panics
+    /// If the image's length is not that of `net`.
+    pub fn run(&mut self, image: &[f32], net: NetSize) -> &[Vec<f32>] {
+        assert_eq!(image.len(), 3 * net.width * net.height, "an image of another size");
+        let mut kept: Vec<Option<Value>> = vec![None; self.layers];
+        let mut x = Value { buffer: self.arena.take(image.len()), height: net.height, width: net.width, channels: 3 };
+        interleave(image, &mut self.arena.buffers[x.buffer]);
+        let steps = std::mem::take(&mut self.steps);
+        let mut head = 0;
+        for PlanStep { step, layer, kept: keep, dropped } in &steps {
+            let read = |layer: &usize| kept[*layer].expect("the plan keeps what a later step reads");
+            let y = match step {
+                Step::Conv(index) => self.convolve(*index, x, None),
+                Step::Residual { squeeze, expand } => {
+                    let inner = self.convolve(*squeeze, x, None);
+                    let y = self.convolve(*expand, inner, Some(x));
+                    self.arena.free.push(inner.buffer);
+                    y
+                }
+                Step::Add(from) => self.add(x, read(from)),
+                Step::Concat(from) => {
+                    let parts: Vec<Value> = from.iter().map(read).collect();
+                    self.concat(&parts)
+                }
+                Step::Upsample => {
+                    let y = Value { height: 2 * x.height, width: 2 * x.width, ..x };
+                    self.fill(y, |arena, out| resample::upsample_into(&arena.buffers[x.buffer][..x.len()], x.size(), out))
+                }
+                Step::MaxPool(stride) => {
+                    let y = Value { height: x.height.div_ceil(*stride), width: x.width.div_ceil(*stride), ..x };
+                    self.fill(y, |arena, out| resample::max_pool_into(&arena.buffers[x.buffer][..x.len()], x.size(), *stride, out))
+                }
+                Step::Head => {
+                    self.heads[head].resize(x.len(), 0.0);
+                    planar(&self.arena.buffers[x.buffer][..x.len()], x.channels, &mut self.heads[head]);
+                    head += 1;
+                    x
+                }
+            };
+            let still_read = |kept: &[Option<Value>], v: Value| kept.iter().flatten().any(|k| k.buffer == v.buffer);
+            let before = std::mem::replace(&mut x, y);
+            if *keep {
+                kept[*layer] = Some(y);
+            }
+            if before.buffer != y.buffer && !still_read(&kept, before) {
+                self.arena.free.push(before.buffer);
+            }
+            for &layer in dropped {
+                if let Some(value) = kept[layer].take()
+                    && value.buffer != x.buffer
+                    && value.buffer != before.buffer
+                    && !still_read(&kept, value)
+                {
+                    self.arena.free.push(value.buffer);
+                }
+            }
+        }
+        self.arena.free.clear();
+        self.arena.free.extend(0..self.arena.buffers.len());
+        self.steps = steps;
+        &self.heads
+    }
+
+    /// Takes a buffer for `value` and lets `write` fill it.
+    fn fill(&mut self, value: Value, write: impl FnOnce(&Arena, &mut [f32])) -> Value {
+        let buffer = self.arena.take(value.len());
+        let mut out = std::mem::take(&mut self.arena.buffers[buffer]);
+        write(&self.arena, &mut out[..value.len()]);
+        self.arena.buffers[buffer] = out;
+        Value { buffer, ..value }
+    }
+
+    fn convolve(&mut self, index: usize, x: Value, residual: Option<Value>) -> Value {
+        let (isa, folded) = (self.isa, std::mem::take(&mut self.convolutions[index].panels));
+        let Folded { conv, bias, .. } = &self.convolutions[index];
+        let shape = ConvShape {
+            batch: 1,
+            height: x.height,
+            width: x.width,
+            in_channels: x.channels,
+            out_channels: conv.filters,
+            kernel: conv.kernel,
+            stride: conv.stride,
+        };
+        let (bias, slope) = (bias.clone(), if conv.leaky { crate::blocks::LEAKY_SLOPE as f32 } else { 1.0 });
+        let y = Value { buffer: 0, height: shape.out_height(), width: shape.out_width(), channels: shape.out_channels };
+        let y = self.fill(y, |arena, out| {
+            let values = |v: Value| &arena.buffers[v.buffer][..v.len()];
+            let epilogue = Epilogue { bias: &bias, slope, residual: residual.map(values) };
+            conv::forward_activated(isa, &shape, values(x), &folded, epilogue, out);
+        });
+        self.convolutions[index].panels = folded;
+        y
+    }
+
+    fn add(&mut self, x: Value, other: Value) -> Value {
+        self.fill(x, |arena, out| {
+            let (a, b) = (&arena.buffers[x.buffer], &arena.buffers[other.buffer]);
+            out.iter_mut().zip(a.iter().zip(b)).for_each(|(o, (a, b))| *o = a + b);
+        })
+    }
+
+    fn concat(&mut self, parts: &[Value]) -> Value {
+        let channels = parts.iter().map(|p| p.channels).sum();
+        self.fill(Value { channels, ..parts[0] }, |arena, out| {
+            let mut first = 0;
+            for part in parts {
+                let from = &arena.buffers[part.buffer][..part.len()];
+                for (to, from) in out.chunks_exact_mut(channels).zip(from.chunks_exact(part.channels)) {
+                    to[first..first + part.channels].copy_from_slice(from);
+                }
+                first += part.channels;
+            }
+        })
+    }
+}
+
+/// Batch norm folded: `scale = gamma / sqrt(variance + epsilon)`, the kernel times it, and `bias = beta - mean * scale`.
+fn fold(isa: Isa, conv: &Conv, weights: &ConvWeights, epsilon: f64) -> Folded {
+    let inputs = conv.in_channels * conv.kernel * conv.kernel;
+    let (kernel, bias) = match &weights.norm {
+        None => (weights.kernel.clone(), weights.bias.clone()),
+        Some(norm) => {
+            let scale: Vec<f32> =
+                norm.gamma.iter().zip(&norm.variance).map(|(g, v)| (f64::from(*g) / (f64::from(*v) + epsilon).sqrt()) as f32).collect();
+            let kernel = weights.kernel.chunks(inputs).zip(&scale).flat_map(|(row, s)| row.iter().map(move |w| w * s)).collect();
+            (kernel, weights.bias.iter().zip(&norm.mean).zip(&scale).map(|((b, m), s)| b - m * s).collect())
+        }
+    };
+    let shape = ConvShape {
+        batch: 1,
+        height: 1,
+        width: 1,
+        in_channels: conv.in_channels,
+        out_channels: conv.filters,
+        kernel: conv.kernel,
+        stride: conv.stride,
+    };
+    Folded { conv: conv.clone(), panels: pack::forward(isa, &shape, &kernel), bias }
+}
+
+/// `[3, pixels]` to `[pixels, 3]`.
+fn interleave(planes: &[f32], out: &mut [f32]) {
+    let pixels = planes.len() / 3;
+    let (red, rest) = planes.split_at(pixels);
+    let (green, blue) = rest.split_at(pixels);
+    for (((to, r), g), b) in out.chunks_exact_mut(3).zip(red).zip(green).zip(blue) {
+        to.copy_from_slice(&[*r, *g, *b]);
+    }
+}
+
+/// `[pixels, channels]` to `[channels, pixels]`.
+fn planar(values: &[f32], channels: usize, out: &mut [f32]) {
+    let pixels = values.len() / channels;
+    for (c, plane) in out.chunks_exact_mut(pixels).enumerate() {
+        for (to, from) in plane.iter_mut().zip(values[c..].iter().step_by(channels)) {
+            *to = *from;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Architecture, Yolo, network::read_logits};
+    use burn::tensor::{Device, Tensor, TensorData};
+
+    #[test]
+    fn equals_the_burn_module() {
+        for architecture in [Architecture::YoloV3, Architecture::YoloV3Tiny] {
+            let net = NetSize { width: 96, height: 64 };
+            let config = ModelConfig { width: 0.0625, input: net, classes: 2, ..ModelConfig::of(architecture) };
+            let graph = config.graph().unwrap();
+            let mut weights = Weights::init(&graph, &config.fields(), &Default::default(), 3);
+            let mut rng = tcross_dataset::Rng::for_item(1, "test/inference", 0);
+            for conv in &mut weights.convolutions {
+                if let Some(norm) = &mut conv.norm {
+                    norm.mean.iter_mut().for_each(|m| *m = 0.1 * rng.normal() as f32);
+                    norm.variance.iter_mut().for_each(|v| *v = rng.uniform(0.5, 1.5) as f32);
+                }
+            }
+            let mut fast = InferenceNet::new(&config, &weights).unwrap();
+            let device = Device::flex();
+            let network = Yolo::new(&config, &weights, &device).unwrap();
+            for frame in 0..3 {
+                let mut rng = tcross_dataset::Rng::for_item(frame, "test/inference/image", 0);
+                let image: Vec<f32> = (0..3 * 96 * 64).map(|_| rng.unit() as f32).collect();
+                let want = network.forward(Tensor::from_data(TensorData::new(image.clone(), [1, 3, 64, 96]), &device));
+                let got = fast.run(&image, net);
+                assert_eq!(got.len(), want.len());
+                for (got, want) in got.iter().zip(&want) {
+                    let want = read_logits(want);
+                    assert_eq!(got.len(), want.len());
+                    let largest = want.iter().fold(1f32, |m, v| m.max(v.abs()));
+                    let worst = got.iter().zip(&want).fold(0f32, |m, (a, b)| m.max((a - b).abs()));
+                    assert!(worst < 1e-4 * largest, "{architecture:?}: {worst} of {largest}");
+                }
+                let buffers = fast.arena.buffers.len();
+                fast.run(&image, net);
+                assert_eq!(fast.arena.buffers.len(), buffers, "a warm network takes no new buffer");
+            }
+        }
+    }
+}

@@ -228,7 +228,9 @@ mod tests {
         let trained = network.forward(images(&device));
         assert_eq!(network.weights(), weights);
         let plain = Yolo::new(&config(), &weights, &Device::flex()).unwrap().forward(images(&Device::flex()));
-        assert_eq!(read_logits(&trained[0]), read_logits(&plain[0]));
+        // The same function; on one of the two devices batch norm may be folded.
+        let (trained, plain) = (read_logits(&trained[0]), read_logits(&plain[0]));
+        assert!(trained.iter().zip(&plain).all(|(a, b)| (a - b).abs() < 1e-5));
     }
 
     #[test]

@@ -324,6 +324,10 @@ unsafe fn panel_body<S: Simd, const V: usize>(work: &Work, panel: usize, sums: &
     unsafe {
         let weights = work.weights.data.as_ptr().add(panel * work.weights.k * work.weights.width);
         let mut pixels = work.pixels;
+        if V == 1 {
+            // One vector alone needs more pixels to hide the latency of the multiply-adds.
+            tiles::<S, 8, V>(work, &mut pixels, weights, panel, sums);
+        }
         match S::TILE {
             12 => tiles::<S, 12, V>(work, &mut pixels, weights, panel, sums),
             6 => tiles::<S, 6, V>(work, &mut pixels, weights, panel, sums),

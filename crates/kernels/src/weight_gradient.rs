@@ -126,9 +126,13 @@ impl Job<'_> {
             for p in panels {
                 let first = p * self.width;
                 let lanes = self.width.min(cout - first);
-                for (to, from) in packed.chunks_exact_mut(self.width).zip(dz.chunks_exact(cout)) {
-                    to[..lanes].copy_from_slice(&from[first..first + lanes]);
-                    to[lanes..].fill(0.0);
+                // A gradient of exactly one or two vectors a pixel is read where it lies.
+                let in_place = cout == self.width || cout == self.width / 2;
+                if !in_place {
+                    for (to, from) in packed.chunks_exact_mut(self.width).zip(dz.chunks_exact(cout)) {
+                        to[..lanes].copy_from_slice(&from[first..first + lanes]);
+                        to[lanes..].fill(0.0);
+                    }
                 }
                 let outer = Outer {
                     x: band,
@@ -139,7 +143,8 @@ impl Job<'_> {
                     tap_pitch: columns * cin,
                     taps: s.kernel,
                     run_len: s.kernel * cin,
-                    dz: packed,
+                    dz: if in_place { dz } else { packed },
+                    dz_pitch: if in_place { cout } else { self.width },
                     width: self.width,
                     one_vector: lanes <= self.width / 2,
                     sums: SharedMut(sums.0.wrapping_add(p * inputs * self.width)),
@@ -163,6 +168,8 @@ struct Outer<'a> {
     /// Inputs of one kernel row.
     run_len: usize,
     dz: &'a [f32],
+    /// From one pixel's gradient to the next.
+    dz_pitch: usize,
     width: usize,
     /// The panel's upper vector is all zeros.
     one_vector: bool,
@@ -172,7 +179,8 @@ struct Outer<'a> {
 
 fn run_outer(isa: Isa, outer: &Outer) {
     let last = (outer.rows - 1) * outer.row_pitch + (outer.columns - 1) * outer.pixel_pitch + (outer.taps - 1) * outer.tap_pitch;
-    assert!(last + outer.run_len <= outer.x.len() && outer.dz.len() >= outer.rows * outer.columns * outer.width);
+    assert!(last + outer.run_len <= outer.x.len() && outer.dz.len() >= outer.rows * outer.columns * outer.dz_pitch);
+    assert!(outer.dz_pitch >= if outer.one_vector { outer.width / 2 } else { outer.width });
     dispatch!(isa, outer_body::<S>(outer: &Outer))
 }
 
@@ -190,6 +198,15 @@ unsafe fn outer_vectors<S: Simd, const V: usize>(outer: &Outer) {
         let mut at = 0;
         // SAFETY: passed on; `at + M` stays within the run.
         unsafe {
+            // One vector alone needs more rows to hide the latency of the multiply-adds; 9 is the kernel row of a picture.
+            while V == 1 && outer.run_len - at >= 12 {
+                outer_tile::<S, 12, V>(outer, tap, at);
+                at += 12;
+            }
+            while V == 1 && outer.run_len - at >= 9 {
+                outer_tile::<S, 9, V>(outer, tap, at);
+                at += 9;
+            }
             while S::TILE >= 12 && outer.run_len - at >= 12 {
                 outer_tile::<S, 12, V>(outer, tap, at);
                 at += 12;
@@ -238,7 +255,7 @@ unsafe fn outer_tile<S: Simd, const M: usize, const V: usize>(outer: &Outer, tap
                         acc[m][v] = S::fma(b, dv[v], acc[m][v]);
                     }
                 }
-                d = d.add(outer.width);
+                d = d.add(outer.dz_pitch);
                 x = x.wrapping_add(outer.pixel_pitch);
             }
         }

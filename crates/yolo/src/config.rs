@@ -10,6 +10,9 @@ use serde::{Deserialize, Serialize};
 /// Epsilon inside the root of batch norm: what Darknet's GPU code, which trained the published weights, and PyTorch use.
 pub const BATCH_NORM_EPSILON: f64 = 1e-5;
 
+/// Classes a network may have.
+pub const MOST_CLASSES: usize = 10_000;
+
 /// Width and height of a network's input in pixels, both multiples of 32; `[width, height]` in files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(from = "[usize; 2]", into = "[usize; 2]")]
@@ -61,12 +64,12 @@ pub enum Architecture {
 }
 
 impl Architecture {
-    /// Which anchors belong to which head, coarse first.
+    /// Strides of the published network's heads, coarse first.
     #[must_use]
-    pub fn masks(self) -> Vec<Vec<usize>> {
+    pub fn strides(self) -> Vec<usize> {
         match self {
-            Self::YoloV3 => vec![vec![6, 7, 8], vec![3, 4, 5], vec![0, 1, 2]],
-            Self::YoloV3Tiny => vec![vec![3, 4, 5], vec![0, 1, 2]],
+            Self::YoloV3 => vec![32, 16, 8],
+            Self::YoloV3Tiny => vec![32, 16],
             Self::DarknetCfg => Vec::new(),
         }
     }
@@ -90,6 +93,14 @@ impl Architecture {
             Self::DarknetCfg => Vec::new(),
         }
     }
+}
+
+/// Anchors of each head.
+const ANCHORS_A_HEAD: usize = 3;
+
+/// Which anchors (small ones first) belong to which of so many heads (coarse first).
+fn masks(heads: usize) -> Vec<Vec<usize>> {
+    (0..heads).rev().map(|head| (ANCHORS_A_HEAD * head..ANCHORS_A_HEAD * (head + 1)).collect()).collect()
 }
 
 /// How boxes of the dataset count pixels.
@@ -146,6 +157,9 @@ pub struct ModelSection {
     pub depth: f64,
     /// Channels are rounded to a multiple of this, and are at least this many. 1 divides exactly.
     pub channel_multiple: usize,
+    /// Strides of the heads in pixels, coarse first, each half of the one before. Empty: the published ones (`yolov3`: 32, 16, 8;
+    /// `yolov3-tiny`: 32, 16). `yolov3` may have any run of 32, 16, 8, 4; stages that no head needs are left out.
+    pub heads: Vec<usize>,
     /// Number of classes.
     pub classes: usize,
     /// Points a box carries besides itself (0: plain YOLOv3).
@@ -165,6 +179,7 @@ impl Default for ModelSection {
             width: 0.125,
             depth: 1.0,
             channel_multiple: 8,
+            heads: Vec::new(),
             classes: 1,
             keypoints: 0,
             input: NetSize::square(416),
@@ -182,7 +197,8 @@ impl ModelSection {
     pub fn validate(&self) -> Result<(), YoloError> {
         let anchors = match &self.anchors {
             AnchorChoice::List(list) => list.clone(),
-            AnchorChoice::Named(_) => self.architecture.coco_anchors(),
+            AnchorChoice::Named(AnchorSource::Coco) => self.architecture.coco_anchors(),
+            AnchorChoice::Named(AnchorSource::Kmeans) => vec![[1.0; 2]; self.anchor_count()],
         };
         if self.architecture == Architecture::DarknetCfg {
             return Err(YoloError::value(
@@ -192,6 +208,16 @@ impl ModelSection {
             ));
         }
         self.resolve(anchors, BoxConvention::Continuous).validate()
+    }
+
+    /// How many anchors the heads share.
+    #[must_use]
+    pub fn anchor_count(&self) -> usize {
+        ANCHORS_A_HEAD * self.strides().len()
+    }
+
+    fn strides(&self) -> Vec<usize> {
+        if self.heads.is_empty() { self.architecture.strides() } else { self.heads.clone() }
     }
 
     /// The complete description of a network, with these anchors (net-input pixels, small ones first).
@@ -208,7 +234,8 @@ impl ModelSection {
             names: Vec::new(),
             input: self.input,
             anchors,
-            masks: self.architecture.masks(),
+            heads: self.strides(),
+            masks: masks(self.strides().len()),
             boxes,
             epsilon: self.epsilon,
             layers: None,
@@ -248,6 +275,9 @@ pub struct ModelConfig {
     pub input: NetSize,
     /// `[width, height]` in net-input pixels, small ones first.
     pub anchors: Vec<[f32; 2]>,
+    /// Strides of the heads in pixels, coarse first.
+    #[serde(default)]
+    pub heads: Vec<usize>,
     /// Indices of the anchors of each head, coarse first.
     pub masks: Vec<Vec<usize>>,
     /// How the training boxes counted pixels; detections count alike.
@@ -293,9 +323,11 @@ impl ModelConfig {
         positive("model.width", self.width, 4.0)?;
         positive("model.depth", self.depth, 4.0)?;
         positive("model.epsilon", self.epsilon, 0.1)?;
-        for (key, value, most) in
-            [("classes", self.classes, 10_000), ("channel_multiple", self.channel_multiple, 1024), ("keypoints", self.keypoints + 1, 1000)]
-        {
+        for (key, value, most) in [
+            ("classes", self.classes, MOST_CLASSES),
+            ("channel_multiple", self.channel_multiple, 1024),
+            ("keypoints", self.keypoints + 1, 1000),
+        ] {
             if value == 0 || value > most {
                 return Err(YoloError::value(format!("model.{key}"), value, format!("1 to {most}")));
             }
@@ -307,6 +339,7 @@ impl ModelConfig {
                 format!("{} (one a class) or none", self.classes),
             ));
         }
+        self.validate_heads()?;
         self.validate_anchors()?;
         let graph = self.graph()?;
         let multiple = graph.max_stride();
@@ -316,6 +349,19 @@ impl ModelConfig {
             }
         }
         Ok(())
+    }
+
+    fn validate_heads(&self) -> Result<(), YoloError> {
+        let wrong = |allowed: &str| Err(YoloError::value("model.heads", format!("{:?}", self.heads), allowed));
+        let halves = self.heads.windows(2).all(|pair| pair[0] == 2 * pair[1]);
+        match self.architecture {
+            Architecture::YoloV3 if self.heads.is_empty() || !halves || !self.heads.iter().all(|s| [4, 8, 16, 32].contains(s)) => {
+                wrong("a run of 32, 16, 8, 4")
+            }
+            Architecture::YoloV3Tiny if self.heads != self.architecture.strides() => wrong("[32, 16] for yolov3-tiny"),
+            _ if self.heads.len() != self.masks.len() => wrong(&format!("as many as masks ({})", self.masks.len())),
+            _ => Ok(()),
+        }
     }
 
     fn validate_anchors(&self) -> Result<(), YoloError> {
@@ -349,11 +395,7 @@ impl ModelConfig {
     /// Grids and anchors of the heads for an input of this size.
     #[must_use]
     pub fn geometry(&self, net: NetSize) -> Geometry {
-        let stride = |head: usize| match self.architecture {
-            Architecture::DarknetCfg => self.graph().ok().and_then(|g| g.heads().nth(head).map(|h| h.2)).unwrap_or(32 >> head),
-            _ => 32 >> head,
-        };
-        Geometry::new(net, self.fields(), self.anchors.clone(), self.masks.iter().enumerate().map(|(h, m)| (m.clone(), stride(h))))
+        Geometry::new(net, self.fields(), self.anchors.clone(), self.masks.iter().cloned().zip(self.heads.iter().copied()))
     }
 
     /// Channels of a layer that has `published` ones at width 1.
@@ -372,17 +414,22 @@ impl ModelConfig {
         let mut b = Builder { config: self, graph: Graph::new() };
         let units = |published: usize| ((published as f64 * self.depth).round() as usize).max(1);
         b.conv(32, 3, 1)?;
+        let coarsest = self.heads.first().copied().unwrap_or_default();
         let mut stages = Vec::new();
-        for (filters, repeats) in [(64, 1), (128, 2), (256, 8), (512, 8), (1024, 4)] {
+        for (stride, filters, repeats) in [(2, 64, 1), (4, 128, 2), (8, 256, 8), (16, 512, 8), (32, 1024, 4)] {
+            if stride > coarsest {
+                break;
+            }
             let mut last = b.conv(filters, 3, 2)?;
             for _ in 0..units(repeats) {
                 b.conv(filters / 2, 1, 1)?;
                 b.conv(filters, 3, 1)?;
                 last = b.graph.push(Layer::Shortcut { from: last })?;
             }
-            stages.push(last);
+            stages.push((stride, last));
         }
-        for (head, filters) in [512, 256, 128].into_iter().enumerate() {
+        for (head, stride) in self.heads.iter().enumerate() {
+            let filters = 16 * stride;
             for _ in 0..2 {
                 b.conv(filters, 1, 1)?;
                 b.conv(2 * filters, 3, 1)?;
@@ -390,11 +437,12 @@ impl ModelConfig {
             let neck = b.conv(filters, 1, 1)?;
             b.conv(2 * filters, 3, 1)?;
             b.head(head)?;
-            if head < 2 {
+            let finer = stages.iter().find(|(s, _)| self.heads.get(head + 1) == Some(s));
+            if let Some((_, stage)) = finer {
                 b.graph.push(Layer::Route { from: vec![neck] })?;
                 b.conv(filters / 2, 1, 1)?;
                 let up = b.graph.push(Layer::Upsample)?;
-                b.graph.push(Layer::Route { from: vec![up, stages[3 - head]] })?;
+                b.graph.push(Layer::Route { from: vec![up, *stage] })?;
             }
         }
         Ok(b.graph)
@@ -460,6 +508,26 @@ mod tests {
         let graph = tiny.graph().unwrap();
         assert_eq!((graph.layers().len(), graph.parameters(), graph.backbone()), (24, 8_858_734, 15));
         assert!((graph.flops(tiny.input) as f64 / 5.565e9 - 1.0).abs() < 1e-3);
+    }
+
+    #[test]
+    fn heads_choose_their_stages() {
+        let with = |heads: &[usize]| {
+            let section = ModelSection { heads: heads.to_vec(), width: 1.0, ..Default::default() };
+            let anchors = vec![[1.0; 2]; section.anchor_count()];
+            let config = section.resolve(anchors, BoxConvention::Continuous);
+            config.validate().unwrap();
+            config.graph().unwrap()
+        };
+        assert_eq!(with(&[32, 16, 8]), ModelConfig::of(Architecture::YoloV3).graph().unwrap());
+        let fine = with(&[16, 8, 4]);
+        assert_eq!(fine.heads().map(|h| h.2).collect::<Vec<_>>(), [16, 8, 4]);
+        assert_eq!((fine.max_stride(), fine.backbone()), (16, 62)); // layer 62 would open the coarsest stage
+        assert_eq!(with(&[32, 16, 8, 4]).heads().count(), 4);
+        for bad in [&[32, 8][..], &[8, 16], &[64, 32]] {
+            let section = ModelSection { heads: bad.to_vec(), ..Default::default() };
+            assert!(section.validate().unwrap_err().to_string().contains("model.heads"));
+        }
     }
 
     #[test]

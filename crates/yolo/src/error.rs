@@ -54,6 +54,16 @@ pub enum YoloError {
         /// Bytes that do.
         found: u64,
     },
+    /// A weights file of the same network with another number of classes.
+    #[error("{path} holds a network of {found} class(es): expected {expected}")]
+    Classes {
+        /// The file.
+        path: PathBuf,
+        /// Classes of the description.
+        expected: usize,
+        /// Classes of the file.
+        found: usize,
+    },
     /// A tensor of a safetensors file, or a convolution's parameters, of the wrong shape or kind, missing, or not known.
     #[error("{path}: tensor '{name}': expected {expected}, found {found}")]
     Tensor {

@@ -61,6 +61,9 @@ impl Conv {
     }
 }
 
+/// Channels a convolution may have: more is a slip of the pen, and would not fit into memory.
+const MOST_FILTERS: usize = 1 << 16;
+
 /// The shape of a layer's output for one image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LayerShape {
@@ -111,9 +114,10 @@ impl Graph {
                 if c.in_channels != channels_in {
                     return Err(wrong(format!("takes {} channels, but the layer before has {channels_in}", c.in_channels)));
                 }
-                if c.filters == 0 || !(1..=2).contains(&c.stride) || c.kernel % 2 == 0 {
+                let fits = (1..=MOST_FILTERS).contains(&c.filters) && (1..=2).contains(&c.stride) && [1, 3, 5, 7].contains(&c.kernel);
+                if !fits {
                     return Err(wrong(format!(
-                        "filters {}, size {}, stride {}: expected filters of at least 1, an odd size, stride 1 or 2",
+                        "filters={}, size={}, stride={}: expected 1 to {MOST_FILTERS} filters, size 1, 3, 5 or 7, stride 1 or 2",
                         c.filters, c.kernel, c.stride
                     )));
                 }

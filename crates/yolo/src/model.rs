@@ -38,7 +38,10 @@ impl ModelConfig {
         {
             return Err(YoloError::Format { path: path.to_owned(), found: format.to_string(), known: MODEL_FORMAT });
         }
-        let config: Self = toml::from_str(&text).map_err(at)?;
+        let mut config: Self = toml::from_str(&text).map_err(at)?;
+        if config.heads.is_empty() {
+            config.heads = config.architecture.strides();
+        }
         config.validate()?;
         Ok(config)
     }
@@ -78,13 +81,16 @@ impl Model {
         }
     }
 
-    /// Reads a Darknet model from its two files. Batch norm gets the epsilon that Darknet's GPU code uses.
+    /// Reads a Darknet model from its two files, and the classes' names where a `.names` file with as many lines lies beside the cfg. Batch
+    /// norm gets the epsilon that Darknet's GPU code uses.
     ///
     /// # Errors
     /// As [`Self::load`].
     pub fn load_darknet(cfg: impl AsRef<Path>, weights: impl AsRef<Path>) -> Result<Self, YoloError> {
-        let config = cfg::read(cfg)?;
-        let weights = darknet::read(weights, &config.graph()?)?;
+        let (cfg, weights) = (cfg.as_ref(), weights.as_ref());
+        let mut config = cfg::read(cfg)?;
+        config.names = names_beside(cfg, config.classes);
+        let weights = darknet::read_model(weights, &config)?;
         Ok(Self { config, weights })
     }
 
@@ -177,6 +183,13 @@ fn partner(path: &Path, extension: &str) -> Result<PathBuf, YoloError> {
     }
 }
 
+/// The lines of the `.names` file beside a cfg, if there is one and it has a line a class.
+fn names_beside(cfg: &Path, classes: usize) -> Vec<String> {
+    let text = partner(cfg, "names").ok().and_then(|file| std::fs::read_to_string(file).ok()).unwrap_or_default();
+    let names: Vec<String> = text.lines().map(|line| line.trim().to_string()).filter(|line| !line.is_empty()).collect();
+    if names.len() == classes { names } else { Vec::new() }
+}
+
 /// A line of `model info`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LayerInfo {
@@ -242,6 +255,26 @@ mod tests {
         assert_eq!(Model::load(dir.path().join("net.weights")).unwrap(), model);
         std::fs::rename(dir.path().join("net.weights"), dir.path().join("other.weights")).unwrap();
         assert_eq!(Model::load(dir.path().join("net.cfg")).unwrap(), model);
+    }
+
+    #[test]
+    fn names_are_taken_along() {
+        let dir = tempfile::tempdir().unwrap();
+        model().export(ExportFormat::Darknet, dir.path().join("net")).unwrap();
+        std::fs::write(dir.path().join("data.names"), "marker\n").unwrap();
+        assert_eq!(Model::load(dir.path().join("net.cfg")).unwrap().config.names, ["marker"]);
+        std::fs::write(dir.path().join("data.names"), "marker\ncar\n").unwrap();
+        assert!(Model::load(dir.path().join("net.cfg")).unwrap().config.names.is_empty());
+    }
+
+    #[test]
+    fn another_class_count_is_said_so() {
+        let dir = tempfile::tempdir().unwrap();
+        model().export(ExportFormat::Darknet, dir.path().join("one")).unwrap();
+        let cfg = cfg::write(&ModelConfig { classes: 80, ..model().config }).unwrap();
+        std::fs::write(dir.path().join("one.cfg"), cfg).unwrap();
+        let message = Model::load(dir.path().join("one.cfg")).unwrap_err().to_string();
+        assert!(message.contains("one.weights holds a network of 1 class(es): expected 80"), "{message}");
     }
 
     #[test]

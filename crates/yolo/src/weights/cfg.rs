@@ -65,6 +65,7 @@ pub fn parse(path: impl AsRef<Path>, text: &str) -> Result<ModelConfig, YoloErro
         names: Vec::new(),
         input,
         anchors,
+        heads: graph.heads().map(|(_, _, stride)| stride).collect(),
         masks: graph.heads().map(|(_, mask, _)| mask.to_vec()).collect(),
         boxes: BoxConvention::Continuous,
         epsilon: BATCH_NORM_EPSILON,
@@ -84,7 +85,7 @@ pub fn with_layers(config: ModelConfig, graph: &Graph) -> ModelConfig {
 
 /// The same network as a scaled named architecture, if it is one.
 fn named(config: &ModelConfig, graph: &Graph) -> Option<ModelConfig> {
-    let widest = graph.convolutions().map(|(_, c)| c.filters).max()?;
+    let widest = graph.convolutions().filter(|(layer, _)| !graph.is_head(*layer)).map(|(_, c)| c.filters).max()?;
     let depths = [1.0, 0.75, 0.5, 0.25];
     let candidates = [Architecture::YoloV3, Architecture::YoloV3Tiny].into_iter().flat_map(|architecture| {
         depths.into_iter().flat_map(move |depth| [8, 1].map(|channel_multiple| (architecture, depth, channel_multiple)))
@@ -94,7 +95,7 @@ fn named(config: &ModelConfig, graph: &Graph) -> Option<ModelConfig> {
             architecture,
             depth,
             channel_multiple,
-            width: widest as f64 / 1024.0,
+            width: widest as f64 / (32 * graph.max_stride()) as f64,
             ..config.clone()
         })
         .find(|candidate| candidate.graph().is_ok_and(|g| g == *graph))

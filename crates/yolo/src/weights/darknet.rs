@@ -1,7 +1,11 @@
 //! Darknet's `.weights` files: a header, then float32 values of each convolution in the order of the layers: bias, with batch norm
 //! scale, mean and variance, then the kernel. Nothing in the file says what it belongs to, so lengths are checked to the byte.
-use super::Weights;
-use crate::{config::ModelConfig, error::YoloError, graph::Graph};
+use super::{ConvWeights, NormWeights, Weights};
+use crate::{
+    config::{MOST_CLASSES, ModelConfig},
+    error::YoloError,
+    graph::Graph,
+};
 use std::path::{Path, PathBuf};
 use tcross_dataset::files;
 
@@ -62,19 +66,22 @@ impl Reader {
         Ok(std::array::from_fn(|i| slice[i]))
     }
 
-    fn floats(&mut self, part: impl FnOnce() -> String, out: &mut [f32]) -> Result<(), YoloError> {
-        let (words, _) = self.slice(part, 4 * out.len())?.as_chunks::<4>();
-        out.iter_mut().zip(words).for_each(|(value, word)| *value = f32::from_le_bytes(*word));
-        Ok(())
-    }
-
-    /// Reads the convolutions among the first `layers` layers.
+    /// Reads the convolutions among the first `layers` layers. Takes memory only for what the file really holds.
     fn convolutions(&mut self, graph: &Graph, layers: usize) -> Result<Weights, YoloError> {
-        let mut weights = Weights { seen: self.seen, ..Weights::zeros(graph) };
-        for ((layer, _), convolution) in graph.convolutions().zip(&mut weights.convolutions).filter(|((at, _), _)| *at < layers) {
-            for (part, values) in convolution.parts_mut() {
-                self.floats(|| format!("layer {layer}, {part}"), values)?;
-            }
+        let mut weights = Weights { seen: self.seen, convolutions: Vec::new() };
+        for (layer, conv) in graph.convolutions().take_while(|(layer, _)| *layer < layers) {
+            let mut floats = |part: &str, length: usize| {
+                let (words, _) = self.slice(|| format!("layer {layer}, {part}"), 4 * length)?.as_chunks::<4>();
+                Ok::<Vec<f32>, YoloError>(words.iter().map(|word| f32::from_le_bytes(*word)).collect())
+            };
+            let bias = floats("bias", conv.filters)?;
+            let norm = if conv.batch_norm {
+                let (gamma, mean) = (floats("gamma", conv.filters)?, floats("mean", conv.filters)?);
+                Some(NormWeights { gamma, mean, variance: floats("variance", conv.filters)? })
+            } else {
+                None
+            };
+            weights.convolutions.push(ConvWeights { bias, norm, kernel: floats("kernel", conv.kernel_len())? });
         }
         Ok(weights)
     }
@@ -102,6 +109,21 @@ pub fn read(path: impl AsRef<Path>, graph: &Graph) -> Result<Weights, YoloError>
     Ok(weights)
 }
 
+/// As [`read`], and tells where the file belongs to the same network with another number of classes.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_model(path: impl AsRef<Path>, config: &ModelConfig) -> Result<Weights, YoloError> {
+    let path = path.as_ref();
+    read(path, &config.graph()?).map_err(|error| {
+        let bytes = std::fs::metadata(path).map_or(0, |file| file.len() as usize);
+        match with_classes_of(config, bytes.saturating_sub(HEADER)) {
+            Ok(Some((found, _))) => YoloError::Classes { path: path.to_owned(), expected: config.classes, found },
+            _ => error,
+        }
+    })
+}
+
 /// Number of layers of a cut such as `darknet53.conv.74` or `yolov3-tiny.conv.15`, from the file's name.
 #[must_use]
 pub fn cut_of(path: impl AsRef<Path>) -> Option<usize> {
@@ -122,7 +144,7 @@ pub fn read_start(path: impl AsRef<Path>, config: &ModelConfig, weights: &mut We
     let layers = cut_of(path).unwrap_or(all);
     let other = if layers < all { None } else { with_classes_of(config, reader.bytes.len() - reader.offset)? };
     let read = match &other {
-        Some(other) => reader.convolutions(other, all)?,
+        Some((_, other)) => reader.convolutions(other, all)?,
         None => reader.convolutions(&graph, layers)?,
     };
     reader.end()?;
@@ -137,7 +159,7 @@ pub fn read_start(path: impl AsRef<Path>, config: &ModelConfig, weights: &mut We
 }
 
 /// The same network with the number of classes that `bytes` of parameters belong to, if that is another one.
-fn with_classes_of(config: &ModelConfig, bytes: usize) -> Result<Option<Graph>, YoloError> {
+fn with_classes_of(config: &ModelConfig, bytes: usize) -> Result<Option<(usize, Graph)>, YoloError> {
     let graph_of = |classes| ModelConfig { classes, names: Vec::new(), ..config.clone() }.graph();
     if config.layers.is_some() || 4 * graph_of(config.classes)?.parameters() == bytes {
         return Ok(None);
@@ -145,8 +167,11 @@ fn with_classes_of(config: &ModelConfig, bytes: usize) -> Result<Option<Graph>, 
     // Parameters grow by the same amount with each class.
     let (one, two) = (4 * graph_of(1)?.parameters(), 4 * graph_of(2)?.parameters());
     let classes = 1 + bytes.saturating_sub(one) / (two - one);
+    if bytes < one || classes > MOST_CLASSES {
+        return Ok(None);
+    }
     let graph = graph_of(classes)?;
-    Ok((classes <= 10_000 && 4 * graph.parameters() == bytes).then_some(graph))
+    Ok((4 * graph.parameters() == bytes).then_some((classes, graph)))
 }
 
 /// Writes all parameters, first under a temporary name.

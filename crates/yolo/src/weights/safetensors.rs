@@ -2,7 +2,7 @@
 //!
 //! The only metadata is `tcross`: a JSON object with the format's number and the images seen. (One entry, because the format's library
 //! writes several in no fixed order, and the same weights should give the same bytes.)
-use super::Weights;
+use super::{ConvWeights, NormWeights, Weights};
 use crate::{
     error::YoloError,
     graph::{Conv, Graph},
@@ -77,20 +77,27 @@ pub fn read(path: impl AsRef<Path>, graph: &Graph) -> Result<Weights, YoloError>
 
     let wrong =
         |name: &str, expected: String, found: String| YoloError::Tensor { path: path.to_owned(), name: name.into(), expected, found };
-    let mut weights = Weights { seen, ..Weights::zeros(graph) };
     let mut names = Vec::new();
-    for ((layer, conv), convolution) in graph.convolutions().zip(&mut weights.convolutions) {
-        for (part, values) in convolution.parts_mut() {
-            let (name, shape) = (format!("layers.{layer}.{part}"), shape(part, conv));
-            let expected = || format!("F32 {shape:?}");
-            let tensor = file.tensor(&name).map_err(|_| wrong(&name, expected(), "none".into()))?;
-            if tensor.dtype() != Dtype::F32 || tensor.shape() != shape {
-                return Err(wrong(&name, expected(), format!("{:?} {:?}", tensor.dtype(), tensor.shape())));
-            }
-            let (words, _) = tensor.data().as_chunks::<4>();
-            values.iter_mut().zip(words).for_each(|(value, word)| *value = f32::from_le_bytes(*word));
-            names.push(name);
+    let mut take = |layer: usize, conv: &Conv, part: &str| {
+        let (name, shape) = (format!("layers.{layer}.{part}"), shape(part, conv));
+        let expected = || format!("F32 {shape:?}");
+        let tensor = file.tensor(&name).map_err(|_| wrong(&name, expected(), "none".into()))?;
+        if tensor.dtype() != Dtype::F32 || tensor.shape() != shape {
+            return Err(wrong(&name, expected(), format!("{:?} {:?}", tensor.dtype(), tensor.shape())));
         }
+        names.push(name);
+        Ok(tensor.data().as_chunks::<4>().0.iter().map(|word| f32::from_le_bytes(*word)).collect())
+    };
+    let mut weights = Weights { seen, convolutions: Vec::new() };
+    for (layer, conv) in graph.convolutions() {
+        let mut take = |part| take(layer, conv, part);
+        let bias = take("bias")?;
+        let norm = if conv.batch_norm {
+            Some(NormWeights { gamma: take("gamma")?, mean: take("mean")?, variance: take("variance")? })
+        } else {
+            None
+        };
+        weights.convolutions.push(ConvWeights { bias, norm, kernel: take("kernel")? });
     }
     let mut found = file.names();
     found.sort_unstable();

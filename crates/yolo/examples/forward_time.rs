@@ -1,6 +1,7 @@
 //! How long a forward pass and a loss take, with random parameters: medians of some runs.
 //!
 //! `cargo run --release -p tcross-yolo --example forward_time -- [yolov3|yolov3-tiny] [WIDTH] [SIDE] [BATCH]`
+#![expect(clippy::print_stdout, reason = "an example prints its result")]
 use burn::tensor::{Device, Tensor};
 use std::{error::Error, time::Instant};
 use tcross_dataset::PixelBox;
@@ -39,7 +40,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let gflop = batch as f64 * graph.flops(net) as f64 / 1e9;
     let (forward, evaluate) = (median(&mut forward), median(&mut evaluate));
     let rate = gflop / forward * 1e3;
-    eprintln!(
+    println!(
         "{architecture:?} x{width} {net} batch {batch}: forward {forward:.1} ms ({gflop:.2} GFLOP, {rate:.0} GFLOP/s), loss {evaluate:.2} ms"
     );
     Ok(())

@@ -1,6 +1,7 @@
 //! Times a training step without an optimiser: `cargo run --release -p tcross-yolo --example train_step -- WIDTH BATCH STEPS [composite|tiny]`.
 //!
 //! Forward, a gradient at the heads, backward, on random images at 416; prints the median and images a second.
+#![expect(clippy::print_stdout, reason = "an example prints its result")]
 use burn::tensor::{Device, Tensor, TensorData};
 use std::time::Instant;
 use tcross_kernels::{allocator::Pool, ops::Path};

@@ -19,16 +19,11 @@ pub struct Panels {
 }
 
 impl Panels {
-    /// Packs `channels` outputs of `k` inputs; `fill(c, column)` writes the inputs of output `c` through `column(k, value)`.
-    fn pack(isa: Isa, channels: usize, k: usize, fill: impl Fn(usize, &mut dyn FnMut(usize, f32)) + Sync) -> Self {
+    /// Zeros for `channels` outputs of `k` inputs, filled a panel at a time: `fill(first channel, channels, panel)`.
+    fn pack(isa: Isa, channels: usize, k: usize, fill: impl Fn(usize, usize, &mut [f32]) + Sync) -> Self {
         let width = 2 * isa.lanes();
-        let panels = channels.div_ceil(width);
-        let mut data = vec![0f32; panels * k * width];
-        data.par_chunks_mut(k * width).enumerate().for_each(|(p, panel)| {
-            for lane in 0..width.min(channels - p * width) {
-                fill(p * width + lane, &mut |at, value| panel[at * width + lane] = value);
-            }
-        });
+        let mut data = vec![0f32; channels.div_ceil(width) * k * width];
+        data.par_chunks_mut(k * width).enumerate().for_each(|(p, panel)| fill(p * width, width.min(channels - p * width), panel));
         Self { data, k, width, channels }
     }
 
@@ -43,37 +38,36 @@ impl Panels {
 pub fn forward(isa: Isa, shape: &ConvShape, weight: &[f32]) -> Panels {
     let (cin, taps) = (shape.in_channels, shape.kernel * shape.kernel);
     assert_eq!(weight.len(), shape.weight_len());
-    let width = 2 * isa.lanes();
-    let k = taps * cin;
-    let panels = shape.out_channels.div_ceil(width);
-    let mut data = vec![0f32; panels * k * width];
-    data.par_chunks_mut(k * width).enumerate().for_each(|(p, panel)| {
-        let first = p * width;
-        let lanes = width.min(shape.out_channels - first);
-        // Tap by tap, so that writes go out in order; the 16 rows being read stay in the cache.
-        for tap in 0..taps {
-            for (c, row) in panel[tap * cin * width..(tap + 1) * cin * width].chunks_exact_mut(width).enumerate() {
-                for (lane, to) in row[..lanes].iter_mut().enumerate() {
-                    *to = weight[(first + lane) * k + c * taps + tap];
+    let (k, width) = (taps * cin, 2 * isa.lanes());
+    Panels::pack(isa, shape.out_channels, k, |first, lanes, panel| {
+        // Every stream goes on in order: a row a lane to read, a row a tap to write.
+        for c in 0..cin {
+            for tap in 0..taps {
+                let to = &mut panel[(tap * cin + c) * width..][..lanes];
+                let from = &weight[first * k + c * taps + tap..];
+                for (lane, to) in to.iter_mut().enumerate() {
+                    *to = from[lane * k];
                 }
             }
         }
-    });
-    Panels { data, k, width, channels: shape.out_channels }
+    })
 }
 
 /// The weights of the gradient of the input: the roles of input and output channels exchanged, k over (row, column, output channel) for
 /// the taps `rows` x `columns` of the forward kernel, in this order.
 #[must_use]
 pub(crate) fn transposed(isa: Isa, shape: &ConvShape, weight: &[f32], rows: &[usize], columns: &[usize]) -> Panels {
-    let (cin, cout, kernel) = (shape.in_channels, shape.out_channels, shape.kernel);
+    let (cin, cout, all) = (shape.in_channels, shape.out_channels, shape.kernel * shape.kernel);
     assert_eq!(weight.len(), shape.weight_len());
-    Panels::pack(isa, cin, rows.len() * columns.len() * cout, |c, put| {
-        for (r, &row) in rows.iter().enumerate() {
-            for (q, &column) in columns.iter().enumerate() {
-                let at = (r * columns.len() + q) * cout;
-                for o in 0..cout {
-                    put(at + o, weight[((o * cin + c) * kernel + row) * kernel + column]);
+    let taps: Vec<usize> = rows.iter().flat_map(|row| columns.iter().map(move |column| row * shape.kernel + column)).collect();
+    let width = 2 * isa.lanes();
+    Panels::pack(isa, cin, taps.len() * cout, |first, lanes, panel| {
+        for o in 0..cout {
+            let from = &weight[(o * cin + first) * all..][..lanes * all];
+            for (t, tap) in taps.iter().enumerate() {
+                let to = &mut panel[(t * cout + o) * width..][..lanes];
+                for (to, from) in to.iter_mut().zip(from[*tap..].iter().step_by(all)) {
+                    *to = *from;
                 }
             }
         }

@@ -80,9 +80,9 @@ fn unpack(shape: &ConvShape, width: usize, sums: &[f32]) -> Vec<f32> {
     let mut weight = vec![0f32; shape.weight_len()];
     weight.par_chunks_mut(width * taps * cin).zip(sums.par_chunks(width * taps * cin)).for_each(|(rows, panel)| {
         let lanes = rows.len() / (taps * cin);
-        for tap in 0..taps {
-            for (c, from) in panel[tap * cin * width..(tap + 1) * cin * width].chunks_exact(width).enumerate() {
-                for (lane, value) in from[..lanes].iter().enumerate() {
+        for c in 0..cin {
+            for tap in 0..taps {
+                for (lane, value) in panel[(tap * cin + c) * width..][..lanes].iter().enumerate() {
                     rows[lane * taps * cin + c * taps + tap] = *value;
                 }
             }

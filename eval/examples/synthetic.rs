@@ -1,9 +1,12 @@
-//! Scores a made-up detector on made-up images and writes the whole report: `cargo run --release --example synthetic -- OUT`.
+//! Scores a made-up detector on made-up images and writes the whole report: `cargo run --release --example synthetic -- OUT [IMAGES [compare]]`.
 //! Shows how the library is used, and what a report looks like.
 use image::{Rgb, RgbImage};
 use std::{path::Path, time::Instant};
-use tcross_dataset::{Detection, ImageDetections, Marker, PixelBox, Record, Rng, dataset::BoxConvention};
-use tcross_eval::{Config, Report, Run, Truth, config::PaperRef, evaluate};
+use tcross_dataset::{
+    Detection, Homography, ImageDetections, Marker, PixelBox, Pose, PoseOutcome, Quad, Record, Rng, dataset::BoxConvention,
+    geom::quad::angle_deg,
+};
+use tcross_eval::{Config, Protocol, Report, Run, Truth, config::PaperRef, evaluate};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let out = std::env::args().nth(1).unwrap_or_else(|| "synthetic-report".into());
@@ -23,10 +26,20 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let config = Config { paper: Some(PaperRef { table: 5, row: "T cross of random thickness".into() }), ..Config::default() };
     let evaluation = evaluate(&truth, "synthetic", dir.join("detections.jsonl").as_path().into(), &config, false)?;
     let provenance = vec![("Detector".to_owned(), "none: boxes drawn by lot around the truth".to_owned()), ("Seed".into(), "0".into())];
-    let report = Report { title: "A made-up detector".into(), runs: vec![Run::new(&truth, &evaluation)], extras: vec![], provenance };
+    // The same detector with its least certain half thrown away: a second run on one truth is compared pair by pair.
+    let timid: Vec<ImageDetections> = detections.iter().map(|d| without_below(d, 0.5)).collect();
+    let timid = evaluate(&truth, "timid", timid.into(), &config, false)?;
+    let compared = std::env::args().nth(3).is_some();
+    let runs = [&evaluation, &timid].into_iter().take(1 + usize::from(compared)).map(|e| Run::new(&truth, e)).collect();
+    let report = Report { title: "A made-up detector".into(), runs, extras: vec![], provenance };
     report.build().write(&out)?;
     eprintln!("{images} images scored and reported in {:.2} s", start.elapsed().as_secs_f64());
     Ok(())
+}
+
+fn without_below(row: &ImageDetections, score: f64) -> ImageDetections {
+    let detections = row.detections.iter().filter(|d| d.score >= score).cloned().collect();
+    ImageDetections { detections, ..row.clone() }
 }
 
 /// An image's truth, and claims that get worse as the marker gets smaller and more blurred.
@@ -51,13 +64,16 @@ fn scene(k: u64) -> (Record, ImageDetections) {
             let mut edge = |v: f64| v + jitter * rng.normal();
             let bounds = PixelBox::from([edge(b.x_min), edge(b.y_min), edge(b.x_max).max(b.x_min + 1.0), edge(b.y_max).max(b.y_min + 1.0)]);
             if bounds.is_valid() {
-                detections.push(claim(skill - 0.12 * rng.unit(), bounds));
+                let mut first = claim(skill - 0.12 * rng.unit(), bounds);
+                first.pose = Some(pose(&b, &mut rng));
+                detections.push(first);
                 if rng.chance(0.05) {
                     detections.push(claim(0.4 * skill, bounds));
                 }
             }
         }
         let mut marker = Marker::from_box("t_cross", b);
+        marker.corners = Some(Quad(corners(&b)));
         (marker.blur_px, marker.tilt_deg, marker.fill, marker.medium) = (Some(blur), Some(tilt), Some(fill.into()), Some(medium.into()));
         markers.push(marker);
     }
@@ -70,6 +86,38 @@ fn scene(k: u64) -> (Record, ImageDetections) {
     let effects = serde_json::Map::from_iter([("noise".to_owned(), serde_json::json!(rng.int(0, 4) as f64 * 5.0))]);
     let record = Record { image: name.clone(), width, height, background, markers, intrinsics: None, distortion: None, effects };
     (record, ImageDetections { image: name, width, height, detections, ms: None })
+}
+
+fn corners(b: &PixelBox) -> [[f64; 2]; 4] {
+    [[b.x_min, b.y_min], [b.x_max, b.y_min], [b.x_max, b.y_max], [b.x_min, b.y_max]]
+}
+
+/// Corners moved by a pixel or so, now and then turned by a quarter; some are refused.
+fn pose(b: &PixelBox, rng: &mut Rng) -> PoseOutcome {
+    if rng.chance(0.05) {
+        return PoseOutcome::Refused { refused: "too few lines".into() };
+    }
+    let mut seen = corners(b).map(|p| p.map(|v| v + 0.7 * rng.normal()));
+    seen.rotate_left(usize::from(rng.chance(0.03)));
+    let quad = Quad(seen);
+    let center = quad.diagonal_crossing().unwrap_or(seen[0]);
+    let angle = angle_deg(seen[0][0] - center[0], seen[0][1] - center[1]);
+    let Some(homography) = Homography::from_unit_square(&seen) else {
+        return PoseOutcome::Refused { refused: "corners on a line".into() };
+    };
+    let covariance = [0.25, 0.0, 0.25];
+    PoseOutcome::Found(Box::new(Pose {
+        center,
+        corners: quad,
+        angle,
+        homography,
+        covariance,
+        quality: 0.9,
+        rotation: None,
+        translation: None,
+        reprojection_px: None,
+        rival: None,
+    }))
 }
 
 /// Stripes with each marker as a filled rectangle: enough to see what the boxes mean.

@@ -3,7 +3,7 @@ use crate::{
     config::{Config, Protocol},
     error::EvalError,
     input::{self, DetectionSource, Located, ProblemCounts},
-    matching::{Rule, Verdict, match_image},
+    matching::{Rule, Tally, Verdict, match_image, tally},
     protocol::{
         coco::{CocoCell, CocoScores},
         paper::{MatchedImage, Row, Scores},
@@ -154,6 +154,13 @@ impl Evaluation {
             Some(k) => self.scores.row(k),
             None => Scores::new(&self.images, &[threshold], self.config.bootstrap_draws, self.config.seed).row(0),
         }
+    }
+
+    /// What image `index` adds at a threshold.
+    #[must_use]
+    pub fn tally_at(&self, index: usize, threshold: f64) -> Tally {
+        let image = &self.images[index];
+        tally(&image.claims, image.markers as usize, &[threshold])[0]
     }
 
     /// Every marker at a threshold, in order of the truth.

@@ -1,6 +1,8 @@
 //! Scores detections: the paper's metrics, curves, tables, report. No network, only files.
 pub mod bootstrap;
 pub mod calibration;
+pub mod coco_json;
+pub mod compare;
 pub mod config;
 pub mod curves;
 pub mod error;

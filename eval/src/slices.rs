@@ -27,6 +27,11 @@ pub struct Class {
     pub recall_ci: Interval,
     /// Misses as 0.
     pub mean_iou: f64,
+    /// False positives in the images that hold these markers.
+    pub fp: u64,
+    /// Found / (found + false positives).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub precision: Option<f64>,
     /// Where poses were recovered.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pose: Option<ClassPose>,
@@ -232,6 +237,8 @@ fn class_label(edges: &[f64], class: usize, values: &[Option<Value>], members: &
 fn summary(label: String, middle: Option<f64>, members: impl Iterator<Item = MarkerOutcome>, evaluation: &Evaluation) -> Class {
     let members: Vec<MarkerOutcome> = members.collect();
     let (markers, found) = (members.len() as u64, members.iter().filter(|o| o.found).count() as u64);
+    let images: BTreeSet<usize> = members.iter().map(|o| o.image).collect();
+    let fp: u64 = images.iter().map(|&k| evaluation.tally_at(k, evaluation.config.threshold).fp).sum();
     Class {
         label,
         middle,
@@ -240,6 +247,8 @@ fn summary(label: String, middle: Option<f64>, members: impl Iterator<Item = Mar
         recall: found as f64 / markers as f64,
         recall_ci: wilson(found, markers).unwrap_or([0.0, 1.0]),
         mean_iou: members.iter().map(|o| o.iou).sum::<f64>() / markers as f64,
+        fp,
+        precision: (found + fp > 0).then(|| found as f64 / (found + fp) as f64),
         pose: evaluation.pose.as_ref().and_then(|p| class_pose(p, &members)),
     }
 }

@@ -13,6 +13,8 @@ pub enum Cell {
     Number(f64, usize),
     /// An interval and how many decimals are printed.
     Range(Interval, usize),
+    /// How a value stands to another, and whether that is good (`None` for neither).
+    Verdict(&'static str, Option<bool>),
     /// What is undefined: printed `-`, empty in CSV.
     Undefined,
 }
@@ -43,6 +45,7 @@ impl Cell {
             Self::Text(t) => t.clone(),
             Self::Count(n) => n.to_string(),
             Self::Number(v, digits) => rounded(*v, *digits),
+            Self::Verdict(word, _) => (*word).to_owned(),
             Self::Range([lo, hi], digits) => format!("{}-{}", rounded(*lo, *digits), rounded(*hi, *digits)),
             Self::Undefined => "-".into(),
         }
@@ -54,6 +57,7 @@ impl Cell {
             Self::Text(t) => t.clone(),
             Self::Count(n) => n.to_string(),
             Self::Number(v, _) => v.to_string(),
+            Self::Verdict(word, _) => (*word).to_owned(),
             Self::Range([lo, hi], _) => format!("{lo} {hi}"),
             Self::Undefined => String::new(),
         }
@@ -154,10 +158,9 @@ impl Table {
             out += "<tr>";
             for (k, cell) in row.iter().enumerate() {
                 let text = cell.printed();
-                let verdict = match text.split(' ').next() {
-                    Some("better") => " data-v=\"better\"",
-                    Some("worse") => " data-v=\"worse\"",
-                    Some("within") => " data-v=\"within\"",
+                let verdict = match cell {
+                    Cell::Verdict(_, Some(true)) => " data-v=\"better\"",
+                    Cell::Verdict(_, Some(false)) => " data-v=\"worse\"",
                     _ => "",
                 };
                 let _ = write!(out, "<td{}{verdict}>{}</td>", class(k), escape(&text));

@@ -19,15 +19,23 @@ pub enum Verdict {
 }
 
 impl Verdict {
-    /// In words, for a quantity of which more is better or worse.
+    /// As written in tables.
     #[must_use]
-    pub fn words(self, more_is_better: bool) -> &'static str {
-        match (self, more_is_better) {
-            (Self::Within, _) => "within",
-            (Self::Above, true) => "better (above)",
-            (Self::Below, true) => "worse (below)",
-            (Self::Above, false) => "worse (above)",
-            (Self::Below, false) => "better (below)",
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Above => "above",
+            Self::Within => "within",
+            Self::Below => "below",
+        }
+    }
+
+    /// True where this is good, for a quantity of which more is better or worse; `None` within.
+    #[must_use]
+    pub fn is_good(self, more_is_better: bool) -> Option<bool> {
+        match self {
+            Self::Within => None,
+            Self::Above => Some(more_is_better),
+            Self::Below => Some(!more_is_better),
         }
     }
 
@@ -129,7 +137,7 @@ mod tests {
     #[test]
     fn words_say_which_way_is_good() {
         assert_eq!(counts_per_image((90, 1079), (5, 1079)), Some(Verdict::Above));
-        assert_eq!(Verdict::Above.words(false), "worse (above)");
-        assert_eq!(counts_per_image((3, 1079), (5, 1079)).unwrap().words(false), "within");
+        assert_eq!((Verdict::Above.word(), Verdict::Above.is_good(false)), ("above", Some(false)));
+        assert_eq!(counts_per_image((3, 1079), (5, 1079)), Some(Verdict::Within));
     }
 }

@@ -175,7 +175,6 @@ pub(super) fn advance(c: char) -> u16 {
     match c {
         ' '..='~' => WIDTHS[c as usize - 32],
         '\u{b0}' => 400,
-        '\u{b7}' => 278,
         _ => 584,
     }
 }

@@ -147,6 +147,9 @@ impl LinePlot {
             self.draw_series(&mut page, &area, (&x, &y), series, color);
             let place = |p: [f64; 2]| self.shows(p).then(|| area.place(&x, &y, p));
             taken.extend(series.points.iter().filter_map(|p| place(*p)));
+            if series.joined {
+                taken.extend(series.points.windows(2).filter_map(|w| Some((place(w[0])?, place(w[1])?))).flat_map(between));
+            }
             notes.extend(series.notes.iter().filter_map(|(i, text)| Some((place(*series.points.get(*i)?)?, text.clone(), color))));
         }
         draw_notes(&mut page, &area, notes, &taken);
@@ -251,6 +254,15 @@ impl Area {
     }
 }
 
+/// Points along a segment, three points apart.
+fn between((a, b): ([f64; 2], [f64; 2])) -> impl Iterator<Item = [f64; 2]> {
+    let steps = ((b[0] - a[0]).hypot(b[1] - a[1]) / 3.0).ceil().max(1.0);
+    (1..steps as usize).map(move |k| {
+        let t = k as f64 / steps;
+        [a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])]
+    })
+}
+
 /// Puts each note beside its point where it covers neither a point nor another note, or leaves it out.
 fn draw_notes(page: &mut Canvas, area: &Area, notes: Vec<([f64; 2], String, Color)>, taken: &[[f64; 2]]) {
     let mut placed: Vec<[f64; 4]> = Vec::new();
@@ -262,7 +274,7 @@ fn draw_notes(page: &mut Canvas, area: &Area, notes: Vec<([f64; 2], String, Colo
             let me = [*left - 0.5, *base - h, *left + w + 0.5, *base + 1.0];
             let inside = me[0] >= area.left && me[2] <= area.right + 4.0 && me[1] >= area.top - 2.0 && me[3] <= area.bottom;
             let clear = |b: &[f64; 4]| me[0] > b[2] || b[0] > me[2] || me[1] > b[3] || b[1] > me[3];
-            inside && placed.iter().all(clear) && taken.iter().all(|p| clear(&[p[0] - 2.0, p[1] - 2.0, p[0] + 2.0, p[1] + 2.0]))
+            inside && placed.iter().all(clear) && taken.iter().all(|p| clear(&[p[0] - 1.5, p[1] - 1.5, p[0] + 1.5, p[1] + 1.5]))
         });
         if let Some([left, base]) = free {
             placed.push([left - 0.5, base - h, left + w + 0.5, base + 1.0]);

@@ -12,11 +12,16 @@
 //! ```
 mod axis;
 mod canvas;
+mod dot_plot;
 mod line_plot;
+mod pdf;
+mod png;
 mod svg;
+mod text_outline;
 
 pub use axis::{Axis, Scale};
 pub use canvas::{Anchor, Canvas, Color, Ink, Shape};
+pub use dot_plot::{Dot, DotPlot};
 pub use line_plot::{LinePlot, Series};
 pub use svg::escape;
 

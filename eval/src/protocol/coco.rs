@@ -263,3 +263,74 @@ fn precision_sum(claims: &[(f64, u64, u64)], bit: u64, truths: f64) -> f64 {
     }
     sum
 }
+
+#[cfg(test)]
+mod reference {
+    //! Average precision by its definition, one category: every recall point searches all detections.
+    use super::*;
+
+    /// `[(score, right)]` of one image at one IoU threshold, truths without crowds, all areas.
+    fn matched(truths: &[CocoTruth], claims: &[CocoClaim], threshold: f64) -> Vec<(f64, bool)> {
+        let mut sorted = claims.to_vec();
+        sorted.sort_by(|a, b| b.score.partial_cmp(&a.score).unwrap());
+        let mut free: Vec<&CocoTruth> = truths.iter().collect();
+        let mut take = |c: &CocoClaim| {
+            let best = free.iter().enumerate().map(|(k, t)| (overlap(&c.bbox, t), k)).filter(|(iou, _)| *iou >= threshold);
+            let best = best.max_by(|a, b| a.0.partial_cmp(&b.0).unwrap());
+            best.map(|(_, k)| free.remove(k)).is_some()
+        };
+        sorted.iter().take(100).map(|c| (c.score, take(c))).collect()
+    }
+
+    pub fn average_precision(images: &[(Vec<CocoTruth>, Vec<CocoClaim>)], threshold: f64) -> f64 {
+        let truths: usize = images.iter().map(|i| i.0.len()).sum();
+        let mut all: Vec<(f64, bool)> = images.iter().flat_map(|(t, c)| matched(t, c, threshold)).collect();
+        all.sort_by(|a, b| b.0.partial_cmp(&a.0).unwrap());
+        let hits = |n: usize| all[..n].iter().filter(|d| d.1).count() as f64;
+        let at =
+            |recall: f64| (1..=all.len()).filter(|&n| hits(n) / truths as f64 >= recall).map(|n| hits(n) / n as f64).fold(0.0, f64::max);
+        // numpy's points: 70 * 0.01 is a little more than 0.7.
+        (0..=100).map(|r| at(f64::from(r) * 0.01)).sum::<f64>() / 101.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tcross_dataset::Rng;
+
+    #[test]
+    fn equals_the_definition_on_random_images() {
+        for case in 0..60 {
+            let mut rng = Rng::for_item(5, "eval/test/coco", case);
+            let mut draw = |n: i64| -> Vec<[f64; 4]> {
+                let n = rng.int(0, n);
+                (0..n).map(|_| [0, 0, 10, 10].map(|lo| (lo + rng.int(0, 12)) as f64)).collect()
+            };
+            let images: Vec<(Vec<CocoTruth>, Vec<CocoClaim>)> = (0..6)
+                .map(|i| {
+                    let truths = draw(4).into_iter().map(|bbox| CocoTruth { bbox, area: bbox[2] * bbox[3], crowd: false }).collect();
+                    // Scores differ, so that the order is the same whatever the sort.
+                    let score = |k: usize| ((k * 37 + i * 11) % 101) as f64 / 101.0 + i as f64 * 1e-4;
+                    let claims = draw(9).into_iter().enumerate().map(|(k, bbox)| CocoClaim { bbox, score: score(k) }).collect();
+                    (truths, claims)
+                })
+                .collect();
+            let cells = images.iter().map(|(t, c)| match_cell(t, c)).collect();
+            let got = score(&[cells]);
+            if images.iter().all(|i| i.0.is_empty()) {
+                assert_eq!(got.ap, None);
+                continue;
+            }
+            let each: Vec<f64> = iou_thresholds().iter().map(|t| reference::average_precision(&images, *t)).collect();
+            assert!((got.ap50.unwrap() - each[0]).abs() < 1e-9 && (got.ap75.unwrap() - each[5]).abs() < 1e-9, "case {case}");
+            assert!((got.ap.unwrap() - each.iter().sum::<f64>() / 10.0).abs() < 1e-9, "case {case}");
+        }
+    }
+
+    #[test]
+    fn thresholds_are_numpys() {
+        assert_eq!(iou_thresholds()[5], 0.75);
+        assert_eq!(iou_thresholds()[9], 0.95);
+    }
+}

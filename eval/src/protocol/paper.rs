@@ -223,6 +223,11 @@ impl Scores {
         self.draws.interval(|sums| quantity(self.drawn(sums, k)))
     }
 
+    /// A quantity at threshold number `k` of every draw.
+    pub fn values(&self, k: usize, quantity: impl Fn(Drawn) -> f64) -> Vec<f64> {
+        self.draws.values(|sums| quantity(self.drawn(sums, k)))
+    }
+
     /// 95 % of a quantity that needs every threshold: it is given a draw's values in their order.
     pub fn interval_of_all(&self, quantity: impl Fn(&[Drawn]) -> f64) -> Option<Interval> {
         self.draws.interval(|sums| quantity(&self.all_drawn(sums)))

@@ -3,8 +3,9 @@ use super::Run;
 use crate::{
     calibration::Calibration,
     curves::{self, Curve},
-    figures::{Axis, Canvas, Color, LinePlot, Series},
+    figures::{Axis, Canvas, Color, DotPlot, LinePlot, Series},
     paper_tables,
+    protocol::pose::{PoseError, PoseOutcomes},
     slices::Slice,
 };
 
@@ -111,6 +112,9 @@ pub fn reliability(calibration: &Calibration) -> Figure {
 /// Recall and mean IoU against a factor that is a number.
 pub fn slice(slice: &Slice) -> Option<Figure> {
     let classes: Vec<_> = slice.classes.iter().filter_map(|c| Some((c.middle?, c))).collect();
+    if classes.is_empty() {
+        return words(slice);
+    }
     if classes.len() < 2 {
         return None;
     }
@@ -118,12 +122,50 @@ pub fn slice(slice: &Slice) -> Option<Figure> {
     recall.band = classes.iter().map(|(x, c)| [*x, c.recall_ci[0], c.recall_ci[1]]).collect();
     recall.notes = classes.iter().enumerate().map(|(k, (_, c))| (k, format!("n={}", c.markers))).collect();
     let iou = Series::line("mean IoU (misses as 0)", classes.iter().map(|(x, c)| [*x, c.mean_iou]).collect()).marked();
+    let right = classes.iter().map(|(x, c)| [*x, c.precision.unwrap_or(f64::NAN)]).collect();
+    let precision = Series::line("precision", right).dashed();
     let (first, last) = (classes[0].0, classes[classes.len() - 1].0);
     let wide = first > 0.0 && last / first > 10.0;
     let x = if wide { Axis::log(&slice.label) } else { Axis::linear(&slice.label) };
-    let plot = LinePlot::new("", x, Axis::linear("fraction").from_to(0.0, 1.0)).with(recall).with(iou);
+    let plot = LinePlot::new("", x, Axis::linear("fraction").from_to(0.0, 1.0)).with(recall).with(iou).with(precision);
     let plot = plot.caption("Each point is a class at its mean; n counts its markers. Band: 95 %, Wilson.");
     Some(Figure::new(&format!("by-{}", slice.key), &format!("By {}", slice.key), &plot))
+}
+
+/// Recall and mean IoU of classes that have words for names.
+fn words(slice: &Slice) -> Option<Figure> {
+    if slice.classes.len() < 2 || slice.classes.len() > 40 {
+        return None;
+    }
+    let plot = DotPlot {
+        label: "fraction".into(),
+        quantities: vec!["recall".into(), "mean IoU (misses as 0)".into()],
+        rows: slice.classes.iter().map(|c| (c.label.clone(), c.markers, vec![(c.recall, Some(c.recall_ci)), (c.mean_iou, None)])).collect(),
+        caption: "n counts markers. Bar: 95 %, Wilson.".into(),
+    };
+    Some(Figure { key: format!("by-{}", slice.key), title: format!("By {}", slice.key), canvas: plot.draw() })
+}
+
+/// The share of all markers whose pose is recovered within a given error.
+pub fn pose_within(outcomes: &PoseOutcomes) -> Figure {
+    let curve = |name: &str, f: &dyn Fn(&PoseError) -> f64| {
+        let mut errors: Vec<f64> = outcomes.errors.iter().map(f).collect();
+        errors.sort_by(f64::total_cmp);
+        let points = (0..=120).map(|k| 0.05 * (2000f64).powf(f64::from(k) / 120.0));
+        let within = |e: f64| errors.partition_point(|v| *v <= e) as f64 / (outcomes.markers.max(1)) as f64;
+        Series::line(name, points.map(|e| [e, within(e)]).collect())
+    };
+    let x = Axis::log("error (% of side, degrees; log)").from_to(0.05, 100.0);
+    let plot = LinePlot::new("", x, Axis::linear("fraction of all markers within").from_to(0.0, 1.0))
+        .with(curve("centre (%)", &PoseError::center_percent))
+        .with(curve("corners (%)", &PoseError::corner_percent))
+        .with(curve("angle (degrees)", &|e| e.angle_deg.abs()));
+    let plot = plot.caption(format!(
+        "{} poses of {} markers; what is missed or refused counts as not within.",
+        outcomes.errors.len(),
+        outcomes.markers
+    ));
+    Figure::new("pose-within", "Markers whose pose is within a given error", &plot)
 }
 
 /// Errors of poses against a factor that is a number.

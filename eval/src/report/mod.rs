@@ -10,6 +10,7 @@ pub use tables::Named as NamedTable;
 
 use crate::{
     calibration::calibration,
+    compare::{Comparison, compare},
     error::EvalError,
     evaluation::Evaluation,
     failures::failures,
@@ -19,6 +20,7 @@ use crate::{
     table::Table,
     truth::Truth,
 };
+use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::path::Path;
 use tcross_dataset::files;
@@ -105,6 +107,10 @@ impl Report<'_> {
     pub fn build(&self) -> Built {
         let several = self.runs.len() > 1;
         let mut tables = vec![NamedTable::new("headline", self.headline())];
+        let comparisons = self.comparisons();
+        for (k, c) in comparisons.iter().enumerate() {
+            tables.push(NamedTable::new(format!("compare-{}", k + 1), tables::comparison(c)));
+        }
         tables.extend(tables::coco(&self.runs).map(|t| NamedTable::new("coco", t)));
         let mut figures = Vec::new();
         if !self.runs.is_empty() {
@@ -148,6 +154,14 @@ impl Report<'_> {
         }
     }
 
+    /// Every pair of runs that share one truth.
+    #[must_use]
+    pub fn comparisons(&self) -> Vec<Comparison> {
+        let pairs = self.runs.iter().enumerate().flat_map(|(k, a)| self.runs[k + 1..].iter().map(move |b| (a, b)));
+        let shared = pairs.filter(|(a, b)| std::ptr::eq(a.truth, b.truth));
+        shared.map(|(a, b)| compare(a.truth, a.evaluation, b.evaluation)).collect()
+    }
+
     /// The content of `metrics.json`.
     #[must_use]
     pub fn metrics(&self) -> Value {
@@ -160,7 +174,12 @@ impl Report<'_> {
                     block.insert("name".into(), json!(run.evaluation.name));
                     Value::Object(block)
                 };
-                json!({"runs": runs.iter().map(block).collect::<Vec<_>>()})
+                let blocks: Vec<Value> = runs.iter().map(block).collect();
+                let comparisons = self.comparisons();
+                match comparisons.is_empty() {
+                    true => json!({"runs": blocks}),
+                    false => json!({"compare": {"files": blocks, "differences": comparisons}}),
+                }
             }
         }
     }
@@ -185,7 +204,10 @@ fn build_run(run: &Run) -> Part {
     part.tables.extend(slices.iter().map(|s| NamedTable::new(format!("by-{}", s.key), tables::slice(s))));
     part.figures.extend(slices.iter().filter_map(figures::slice));
     if let Some(pose) = &evaluation.pose {
-        part.tables.insert(0, NamedTable::new("pose", tables::pose(&pose.scores())));
+        let scores = pose.scores();
+        part.tables.insert(0, NamedTable::new("pose", tables::pose(&scores)));
+        part.tables.insert(1, NamedTable::new("orientation", tables::orientation(&scores)));
+        part.figures.insert(0, figures::pose_within(pose));
         part.figures.extend(slices.iter().filter_map(figures::pose_slice));
     }
     let count = evaluation.config.gallery;
@@ -215,11 +237,9 @@ fn verdict(run: &Run) -> String {
     );
     if let Some(paper) = run.paper() {
         let v = crate::verdict::RowVerdict::new(&row, run.evaluation.scores.images, paper);
-        let word = |name: &str, v: Option<crate::verdict::Verdict>, good: bool| v.map(|v| format!("{name} {}", v.words(good)));
-        let parts: Vec<String> = [word("mean IoU", v.mean_iou, true), word("precision", v.precision, true), word("recall", v.recall, true)]
-            .into_iter()
-            .flatten()
-            .collect();
+        let word = |name: &str, v: Option<crate::verdict::Verdict>| v.map(|v| format!("{name} {}", v.word()));
+        let parts: Vec<String> =
+            [word("mean IoU", v.mean_iou), word("precision", v.precision), word("recall", v.recall)].into_iter().flatten().collect();
         text += &format!(" Against the paper's '{}' (table {}): {}.", paper.name, paper.table, parts.join(", "));
     }
     text
@@ -246,9 +266,13 @@ impl Built {
             files::write_atomically(out.join(format!("tables/{key}.csv")), table.csv())?;
             files::write_atomically(out.join(format!("tables/{key}.tex")), table.latex(key))?;
         }
-        for figure in &self.figures {
-            files::write_atomically(out.join(format!("figures/{}.svg", figure.key)), figure.canvas.svg())?;
-        }
+        self.figures.par_iter().try_for_each(|Figure { key, canvas, .. }| -> Result<(), EvalError> {
+            let write = |kind: &str, bytes: Vec<u8>| files::write_atomically(out.join(format!("figures/{key}.{kind}")), bytes);
+            write("svg", canvas.svg().into_bytes())?;
+            write("pdf", canvas.pdf())?;
+            // 300 pixels an inch.
+            Ok(write("png", canvas.png(300.0 / 72.0))?)
+        })?;
         for gallery in &self.galleries {
             let dir = out.join("galleries").join(&gallery.key);
             files::create_dir(&dir)?;

@@ -1,6 +1,7 @@
 //! The tables of a report.
 use super::Run;
 use crate::{
+    compare::Comparison,
     evaluation::Evaluation,
     paper_tables::{self, PaperRow},
     protocol::{
@@ -47,8 +48,8 @@ pub fn headline(runs: &[Run]) -> Table {
         }
     }
     table.notes.push(
-        "Intervals: bootstrap over images for the mean IoU, Wilson for rates. Verdicts are of the difference at 95 %, given the \
-         uncertainty of both sides."
+        "Intervals: bootstrap over images for the mean IoU, Wilson for rates. Verdict: ours is above, within or below the paper's value \
+         at 95 %, given the uncertainty of both."
             .into(),
     );
     table
@@ -88,7 +89,7 @@ fn our_row(name: &str, r: &Row) -> Vec<Cell> {
 }
 
 fn verdict_row(v: &RowVerdict) -> Vec<Cell> {
-    let word = |v: Option<crate::verdict::Verdict>, good: bool| v.map_or(Cell::Undefined, |v| Cell::text(v.words(good)));
+    let word = |v: Option<crate::verdict::Verdict>, good: bool| v.map_or(Cell::Undefined, |v| Cell::Verdict(v.word(), v.is_good(good)));
     let blank = || Cell::text("");
     vec![
         blank(),
@@ -167,7 +168,7 @@ pub fn at_least(rows: &[AtLeast]) -> Table {
 /// Recall and mean IoU of the classes of a factor.
 pub fn slice(slice: &Slice) -> Table {
     let pose = slice.classes.iter().any(|c| c.pose.is_some());
-    let mut columns = vec![slice.label.as_str(), "markers", "found", "recall", "95 %", "mean IoU"];
+    let mut columns = vec![slice.label.as_str(), "markers", "found", "recall", "95 %", "mean IoU", "FP", "precision"];
     if pose {
         columns.extend(["poses", "centre %", "corners %", "angle"]);
     }
@@ -180,6 +181,8 @@ pub fn slice(slice: &Slice) -> Table {
             Cell::Number(c.recall, 3),
             Cell::Range(c.recall_ci, 3),
             Cell::Number(c.mean_iou, 3),
+            Cell::Count(c.fp),
+            Cell::number(c.precision, 3),
         ];
         if pose {
             row.push(c.pose.map_or(Cell::Undefined, |p| Cell::Count(p.recovered)));
@@ -190,6 +193,7 @@ pub fn slice(slice: &Slice) -> Table {
         }
         table.rows.push(row);
     }
+    table.notes.push("FP: false positives in the images that hold these markers.".into());
     table
 }
 
@@ -226,6 +230,43 @@ pub fn pose(p: &PoseScores) -> Table {
         let reasons: Vec<String> = p.reasons.iter().map(|(r, n)| format!("{r} ({n})")).collect();
         table.notes.push(format!("Refused: {}.", reasons.join(", ")));
     }
+    table
+}
+
+/// How recovered poses are turned against the truth.
+pub fn orientation(p: &PoseScores) -> Table {
+    let mut table = Table::new("Orientation of the recovered poses.", &["turned by (degrees)", "poses", "fraction", "95 %"]);
+    let all: u64 = p.turned.iter().sum();
+    for (k, n) in p.turned.iter().enumerate() {
+        let fraction = (all > 0).then(|| *n as f64 / all as f64);
+        let range = Cell::range(crate::interval::wilson(*n, all), 4);
+        table.rows.push(vec![Cell::Count(90 * k as u64), Cell::Count(*n), Cell::number(fraction, 4), range]);
+    }
+    table.notes.push("Counter-clockwise as seen, to the nearest quarter.".into());
+    table
+}
+
+/// Two runs on one truth.
+pub fn comparison(c: &Comparison) -> Table {
+    let columns = ["metric", c.first.as_str(), c.second.as_str(), "difference", "95 % (paired)"];
+    let mut table = Table::new(format!("{} against {}.", c.first, c.second), &columns);
+    for d in &c.differences {
+        table.rows.push(vec![
+            Cell::text(d.metric.replace('_', " ")),
+            Cell::Number(d.first, 4),
+            Cell::Number(d.second, 4),
+            Cell::Number(d.difference, 4),
+            Cell::range(d.ci, 4),
+        ]);
+    }
+    let [a, b] = c.found_by_one;
+    let names: Vec<&str> = c.disagreements.iter().take(20).map(|d| d.image.as_str()).collect();
+    let more = if c.disagreements.len() > names.len() { ", ..." } else { "" };
+    table.notes.push(format!(
+        "Only the first finds {a} markers, only the second {b}. They disagree on {} images: {}{more}.",
+        c.disagreements.len(),
+        names.join(", ")
+    ));
     table
 }
 

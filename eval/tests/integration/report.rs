@@ -1,0 +1,105 @@
+//! A small report, written to disk and read back.
+use image::{Rgb, RgbImage};
+use tcross_dataset::{Detection, ImageDetections, Marker, Record, dataset::BoxConvention, detections, files};
+use tcross_eval::{Config, Report, Run, Truth, config::PaperRef, evaluate, report::Extra};
+
+/// Four images: found, missed with a false positive, without a marker, without anything.
+fn dataset(dir: &std::path::Path) {
+    files::create_dir(dir.join("test")).unwrap();
+    let record = |k: usize, boxes: &[[f64; 4]]| Record {
+        image: format!("test/{k:05}.png"),
+        width: 60,
+        height: 50,
+        background: Some("procedural/room".into()),
+        markers: boxes.iter().map(|b| Marker::from_box("t_cross", (*b).into())).collect(),
+        intrinsics: None,
+        distortion: None,
+        effects: serde_json::Map::new(),
+    };
+    let b = [10.0, 10.0, 30.0, 30.0];
+    let records = [record(0, &[b]), record(1, &[b]), record(2, &[]), record(3, &[])];
+    for r in &records {
+        RgbImage::from_pixel(60, 50, Rgb([120, 130, 140])).save(dir.join(&r.image)).unwrap();
+    }
+    files::write_jsonl(dir.join("test.jsonl"), &records).unwrap();
+    let found = |k: usize, claims: &[(f64, [f64; 4])]| ImageDetections {
+        image: records[k].image.clone(),
+        width: 60,
+        height: 50,
+        detections: claims.iter().map(|(score, b)| Detection { score: *score, class: 0, bounds: (*b).into(), pose: None }).collect(),
+        ms: None,
+    };
+    let rows = [found(0, &[(0.9, b), (0.6, b)]), found(1, &[(0.8, [40.0, 30.0, 55.0, 45.0])]), found(2, &[(0.5, b)]), found(3, &[])];
+    detections::write(dir.join("detections.jsonl"), &rows).unwrap();
+}
+
+#[test]
+fn writes_what_the_contract_names() {
+    let folder = tempfile::tempdir().unwrap();
+    dataset(folder.path());
+    let truth = Truth::open(folder.path(), None).unwrap();
+    assert_eq!(truth.boxes, BoxConvention::Continuous);
+    let config = Config {
+        paper: Some(PaperRef { table: 7, row: "real".into() }),
+        bootstrap_draws: 20,
+        size_edges_px: vec![16.0, 24.0],
+        ..Config::default()
+    };
+    let source = folder.path().join("detections.jsonl");
+    let evaluation = evaluate(&truth, "small", source.as_path().into(), &config, false).unwrap();
+    let run = Run { validation: Some(&evaluation), ..Run::new(&truth, &evaluation) };
+    let extras = vec![Extra { title: "Training".into(), fragments: vec!["<svg id=\"loss\"></svg>".into()] }];
+    let provenance = vec![("Seed".to_owned(), "7 & more".to_owned())];
+    let out = folder.path().join("eval");
+    Report { title: "A <small> set".into(), runs: vec![run], extras, provenance }.build().write(&out).unwrap();
+
+    let metrics: serde_json::Value = serde_json::from_str(&files::read_text(out.join("metrics.json")).unwrap()).unwrap();
+    let paper = &metrics["paper"];
+    assert_eq!((&paper["images"], &paper["markers"]), (&4.into(), &2.into()));
+    let row = &paper["rows"][5];
+    assert_eq!(row["threshold"], 0.3);
+    assert_eq!((&row["tp"], &row["fp"], &row["fn"], &row["duplicates"]), (&1.into(), &2.into(), &1.into(), &1.into()));
+    assert!(row["precision_ci"].is_array() && row["mean_iou_ci"].is_array());
+    assert!(paper["rows"][13].get("precision").is_some() && metrics.get("pose").is_none());
+    assert_eq!(paper["fp_per_1000_without_marker"]["value"], 500.0);
+    assert_eq!(paper["errors"], serde_json::json!({"missed": 1, "background": 2, "duplicate": 1, "misplaced": 0}));
+    assert!(metrics["coco"]["ap50"].as_f64().unwrap() > 0.3);
+    assert_eq!(paper["verdict"]["recall"], "below");
+    assert_eq!(paper["chosen_on_validation"]["threshold"], 0.81);
+
+    for name in ["headline", "thresholds", "coco", "paper", "size-at-least"] {
+        for kind in ["md", "csv", "tex"] {
+            assert!(out.join(format!("tables/{name}.{kind}")).is_file(), "{name}.{kind}");
+        }
+    }
+    for name in ["figure20", "froc", "precision-recall", "threshold", "reliability"] {
+        for kind in ["svg", "pdf", "png"] {
+            assert!(out.join(format!("figures/{name}.{kind}")).is_file(), "{name}.{kind}");
+        }
+    }
+    assert_eq!(std::fs::read_dir(out.join("galleries/background")).unwrap().count(), 2);
+    let page = files::read_text(out.join("report.html")).unwrap();
+    assert!(page.contains("A &lt;small&gt; set") && page.contains("<svg id=\"loss\">") && page.contains("7 &amp; more"));
+    assert!(!page.contains("src=\"http") && !page.contains("href="), "nothing beside the page is needed");
+}
+
+#[test]
+fn the_same_bytes_twice() {
+    let folder = tempfile::tempdir().unwrap();
+    dataset(folder.path());
+    let truth = Truth::open(folder.path().join("test.jsonl"), None).unwrap();
+    let make = || {
+        let source = folder.path().join("detections.jsonl");
+        let evaluation = evaluate(&truth, "small", source.as_path().into(), &Config::default(), false).unwrap();
+        Report { title: "t".into(), runs: vec![Run::new(&truth, &evaluation)], extras: vec![], provenance: vec![] }.build().html()
+    };
+    assert!(make() == make());
+}
+
+#[test]
+fn a_missing_split_says_what_is_there() {
+    let folder = tempfile::tempdir().unwrap();
+    dataset(folder.path());
+    let message = Truth::open(folder.path(), Some(tcross_dataset::Split::Val)).unwrap_err().to_string();
+    assert!(message.contains("val") && message.contains("test"), "{message}");
+}

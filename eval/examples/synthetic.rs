@@ -23,7 +23,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     tcross_dataset::detections::write(dir.join("detections.jsonl"), &detections)?;
     let start = Instant::now();
     let truth = Truth::new(records, BoxConvention::Continuous, Some(dir.clone()));
-    let config = Config { paper: Some(PaperRef { table: 5, row: "T cross of random thickness".into() }), ..Config::default() };
+    let config = Config {
+        protocols: vec![Protocol::Paper, Protocol::Coco, Protocol::Pose],
+        paper: Some(PaperRef { table: 5, row: "T cross of random thickness".into() }),
+        ..Config::default()
+    };
     let evaluation = evaluate(&truth, "synthetic", dir.join("detections.jsonl").as_path().into(), &config, false)?;
     let provenance = vec![("Detector".to_owned(), "none: boxes drawn by lot around the truth".to_owned()), ("Seed".into(), "0".into())];
     // The same detector with its least certain half thrown away: a second run on one truth is compared pair by pair.

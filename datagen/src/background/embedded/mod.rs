@@ -1,0 +1,76 @@
+//! Scenes that need no file: rooms, landscapes, desks and patches with the spectra, lights and colours of photographs, and with much
+//! saturated clutter, because that is what a marker must not be taken for.
+use crate::{canvas::Canvas, color, config::{self, Config, SceneKind}, noise::{Spectrum, Tile}, stickers};
+use tcross_dataset::Rng;
+
+mod desk;
+mod leaves;
+mod material;
+mod outdoors;
+mod painter;
+mod room;
+
+pub(crate) use material::Material;
+pub(crate) use painter::{fill, polygon};
+
+/// Moves with every change of the scenes' pixels.
+pub const VERSION: u32 = 1;
+
+/// Paints a scene of the configured size; returns its name and its light.
+pub fn paint(config: &Config, rng: &mut Rng) -> (String, Canvas) {
+    let kind = config::choose(&config.background.scenes, rng).unwrap_or(SceneKind::Leaves);
+    let (width, height) = (config.width as usize, config.height as usize);
+    let mut canvas = Canvas::filled(width, height, color::muted(rng));
+    match kind {
+        SceneKind::Room => room::paint(&mut canvas, rng),
+        SceneKind::Outdoors => outdoors::paint(&mut canvas, rng),
+        SceneKind::Desk => desk::paint(&mut canvas, rng),
+        SceneKind::Leaves => leaves::paint(&mut canvas, rng),
+    }
+    if rng.chance(0.6) {
+        for _ in 0..rng.int(1, 6) {
+            stickers::paint(&mut canvas, rng);
+        }
+    }
+    light(&mut canvas, rng);
+    (format!("embedded/{}", kind.name()), canvas)
+}
+
+/// Uneven light over the whole picture: a slope, slow clouds, a vignette; then contrast and a cast.
+fn light(canvas: &mut Canvas, rng: &mut Rng) {
+    let (width, height) = (canvas.width, canvas.height);
+    let tile = Tile::of(Spectrum::Soft);
+    let (angle, slope) = (rng.uniform(0.0, std::f64::consts::TAU), rng.uniform(0.0, 0.8));
+    let (sx, sy) = ((libm::cos(angle) * slope) as f32 / width as f32, (libm::sin(angle) * slope) as f32 / height as f32);
+    let (ox, oy) = (rng.uniform(0.0, 256.0) as f32, rng.uniform(0.0, 256.0) as f32);
+    let clouds = rng.uniform(0.0, 0.25) as f32;
+    let scale = rng.uniform(20.0, 90.0) as f32 / width as f32;
+    let vignette = rng.uniform(0.0, 0.5) as f32;
+    let exposure = rng.log_uniform(0.45, 1.6) as f32;
+    let cast = color::from_hsv(rng.uniform(0.0, 360.0), rng.uniform(0.0, 0.18), 1.0);
+    // Light changes slowly: it is computed at every eighth pixel and interpolated.
+    const STEP: usize = 8;
+    let columns = width.div_ceil(STEP) + 2;
+    let at = |i: usize, j: usize| {
+        let (x, y) = ((i * STEP) as f32, (j * STEP) as f32);
+        let (u, v) = (x / width as f32 - 0.5, y / height as f32 - 0.5);
+        let slow = 1.0 + sx * (x - width as f32 / 2.0) + sy * (y - height as f32 / 2.0) + clouds * tile.smooth(ox + x * scale, oy + y * scale);
+        exposure * slow.max(0.15) * (1.0 - vignette * (u * u + v * v))
+    };
+    let lattice = |j: usize| (0..columns).map(|i| at(i, j)).collect::<Vec<f32>>();
+    for (j, first) in (0..height).step_by(STEP).enumerate() {
+        let (upper, lower) = (lattice(j), lattice(j + 1));
+        for y in first..(first + STEP).min(height) {
+            let v = (y - first) as f32 / STEP as f32;
+            for (plane, gain) in canvas.planes.iter_mut().zip(cast) {
+                for (k, cell) in plane[y * width..][..width].chunks_mut(STEP).enumerate() {
+                    let left = upper[k] + (lower[k] - upper[k]) * v;
+                    let right = upper[k + 1] + (lower[k + 1] - upper[k + 1]) * v;
+                    for (m, value) in cell.iter_mut().enumerate() {
+                        *value *= (left + (right - left) * (m as f32 / STEP as f32)) * gain;
+                    }
+                }
+            }
+        }
+    }
+}

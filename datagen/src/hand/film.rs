@@ -1,0 +1,216 @@
+//! What lies over the background, as light sees it: each pixel lets a part of the background's light through and adds light of its own.
+//! Every way of laying colour down, from a highlighter that filters to paint that hides, is such a film, and films stack.
+use super::{drawing::Drawing, view::View};
+use crate::{color::Linear, media::Nature, surface::Sheet};
+use std::ops::Range;
+
+/// Pixels a cell of the grid on which the sheet's coordinates are computed exactly; between its nodes they are interpolated.
+const CELL: usize = 4;
+
+/// The densities at which an ink's film is tabulated: steps of 1/32 up to 3.
+const STEPS: usize = 96;
+
+/// One colour laid down by one medium.
+#[derive(Debug, Clone)]
+pub struct Tint([(Linear, Linear); STEPS + 1]);
+
+impl Tint {
+    /// Up to one layer, density is the share of the surface that is covered, so that antialiased edges are exact in linear light; beyond one
+    /// layer a translucent ink darkens as layers of filter do.
+    #[must_use]
+    pub fn new(color: Linear, opacity: f32) -> Self {
+        Self(std::array::from_fn(|k| {
+            let density = k as f32 * 3.0 / STEPS as f32;
+            let (covered, layers) = (density.min(1.0), density.max(1.0));
+            let hidden = covered * opacity;
+            let through: Linear = std::array::from_fn(|c| {
+                let filter = libm::powf(color[c].max(0.02), layers);
+                (1.0 - covered + covered * filter) * (1.0 - hidden)
+            });
+            (through, color.map(|v| v * hidden))
+        }))
+    }
+
+    #[inline]
+    fn at(&self, density: f32) -> (Linear, Linear) {
+        self.0[((density * (STEPS as f32 / 3.0) + 0.5) as usize).min(STEPS)]
+    }
+}
+
+/// A film over a rectangle of pixels.
+#[derive(Debug, Clone)]
+pub struct Film {
+    /// Columns of the image.
+    pub x: Range<usize>,
+    /// Rows of the image.
+    pub y: Range<usize>,
+    /// What part of the background's light comes through, then what light is added, red green blue each; row-major.
+    pub planes: [Vec<f32>; 6],
+    /// How much of each pixel is covered by the marker's ink, 0..1, before any blur.
+    pub ink: Vec<f32>,
+}
+
+/// What a film is made of.
+#[derive(Debug, Clone, Copy)]
+pub struct Layers<'a> {
+    /// The ink.
+    pub drawing: &'a Drawing,
+    /// The fill's colour.
+    pub fill: &'a Tint,
+    /// The lines' colour.
+    pub line: &'a Tint,
+    /// The paper below.
+    pub sheet: &'a Sheet,
+    /// Half the width and half the height of the marker's rectangle, in sides.
+    pub half: [f64; 2],
+    /// A bright spot of reflected light: its place on the sheet, its radius in sides, its strength.
+    pub glare: Option<([f32; 2], f32, f32)>,
+}
+
+impl Film {
+    /// Looks at the layers through a view. `pad` is added around the sheet for later blur; `light(x, y)` is the light that falls on the
+    /// sheet at a pixel. `None` where nothing of it is in the image.
+    pub fn render(layers: &Layers, view: &View, size: (usize, usize), pad: usize, light: impl Fn(f32, f32) -> Linear) -> Option<Self> {
+        let drawn = [layers.half[0] + super::drawing::MARGIN, layers.half[1] + super::drawing::MARGIN];
+        let margins = layers.sheet.margins;
+        let sheet = margins.map(|m| {
+            let half = layers.half.map(|v| v as f32);
+            [-half[0] - m[0], -half[1] - m[1], half[0] + m[2], half[1] + m[3]]
+        });
+        let extent = sheet.map_or([-drawn[0], -drawn[1], drawn[0], drawn[1]], |s| s.map(f64::from));
+        let (x, y) = bounds(view, extent, size, pad)?;
+        let (width, height) = (x.len(), y.len());
+        let mut film = Self {
+            planes: std::array::from_fn(|k| vec![if k < 3 { 1.0 } else { 0.0 }; width * height]),
+            ink: vec![0.0; width * height],
+            x,
+            y,
+        };
+        let samples = film.samples(layers, view);
+        let (columns, rows) = (width.div_ceil(CELL), height.div_ceil(CELL));
+        let node = |i: usize, j: usize| view.plane_from_image([(film.x.start + i * CELL) as f64, (film.y.start + j * CELL) as f64]);
+        let line = |j: usize| (0..=columns).map(|i| node(i, j).map(|p| p.map(|v| v as f32))).collect::<Vec<_>>();
+        let lines: Vec<Vec<Option<[f32; 2]>>> = (0..=rows).map(line).collect();
+        for j in 0..rows {
+            for i in 0..columns {
+                let (Some(a), Some(b), Some(c), Some(d)) = (lines[j][i], lines[j][i + 1], lines[j + 1][i + 1], lines[j + 1][i]) else { continue };
+                let near = |k: usize, lo: f64, hi: f64| {
+                    let (min, max) = (a[k].min(b[k]).min(c[k]).min(d[k]), a[k].max(b[k]).max(c[k]).max(d[k]));
+                    f64::from(max) > lo && f64::from(min) < hi
+                };
+                if near(0, extent[0] - 0.05, extent[2] + 0.05) && near(1, extent[1] - 0.05, extent[3] + 0.05) {
+                    film.cell(layers, sheet, samples, (i * CELL, j * CELL), [a, b, c, d], &light);
+                }
+            }
+        }
+        Some(film)
+    }
+
+    /// Samples a pixel, along x and along y, so that none steps over more than about a cell of ink.
+    fn samples(&self, layers: &Layers, view: &View) -> (usize, usize) {
+        let scale = f64::from(layers.drawing.fill.scale);
+        let mut most = (1.0f64, 1.0f64);
+        let [w, h] = layers.half;
+        for p in [[0.0, 0.0], [-w, -h], [w, -h], [w, h], [-w, h]] {
+            let Some(at) = view.image_from_plane(p) else { continue };
+            let Some(here) = view.plane_from_image(at) else { continue };
+            let step = |d: [f64; 2]| {
+                view.plane_from_image([at[0] + d[0], at[1] + d[1]]).map_or(1.0, |q| ((q[0] - here[0]).powi(2) + (q[1] - here[1]).powi(2)).sqrt() * scale)
+            };
+            most = (most.0.max(step([0.25, 0.0]) * 4.0), most.1.max(step([0.0, 0.25]) * 4.0));
+        }
+        let count = |cells: f64| ((cells / 1.1).ceil() as usize).clamp(2, 6);
+        (count(most.0), count(most.1))
+    }
+
+    fn cell(&mut self, layers: &Layers, sheet: Option<[f32; 4]>, (nx, ny): (usize, usize), (x0, y0): (usize, usize), nodes: [[f32; 2]; 4], light: &impl Fn(f32, f32) -> Linear) {
+        let (width, height) = (self.x.len(), self.y.len());
+        let [a, b, c, d] = nodes;
+        let at = |u: f32, v: f32| -> [f32; 2] {
+            std::array::from_fn(|k| {
+                let (top, bottom) = (a[k] + (b[k] - a[k]) * u, d[k] + (c[k] - d[k]) * u);
+                top + (bottom - top) * v
+            })
+        };
+        // The size of a pixel on the sheet, for edges and rules.
+        let across = |p: [f32; 2], q: [f32; 2]| ((p[0] - q[0]).powi(2) + (p[1] - q[1]).powi(2)).sqrt() / CELL as f32;
+        let footprint = ((across(a, b) * across(a, d)).sqrt()).max(1e-5);
+        let weight = 1.0 / (nx * ny) as f32;
+        let one = 1.0 / CELL as f32;
+        for y in y0..(y0 + CELL).min(height) {
+            for x in x0..(x0 + CELL).min(width) {
+                let (u, v) = ((x - x0) as f32 * one, (y - y0) as f32 * one);
+                let middle = at(u + one / 2.0, v + one / 2.0);
+                let paper = sheet.map_or(0.0, |[left, top, right, bottom]| {
+                    let inside = (middle[0] - left).min(right - middle[0]).min(middle[1] - top).min(bottom - middle[1]);
+                    (inside / footprint + 0.5).clamp(0.0, 1.0)
+                });
+                let (mut fill, mut line) = (0.0, 0.0);
+                let ink = &layers.drawing.fill;
+                let corner = ink.cell(middle);
+                if corner[0] > -2.0 && corner[1] > -2.0 && corner[0] < ink.width as f32 + 2.0 && corner[1] < ink.height as f32 + 2.0 {
+                    for j in 0..ny {
+                        for i in 0..nx {
+                            let p = at(u + one * (i as f32 + 0.5) / nx as f32, v + one * (j as f32 + 0.5) / ny as f32);
+                            let [cx, cy] = ink.cell(p);
+                            fill += ink.at(cx, cy);
+                            line += layers.drawing.lines.at(cx, cy);
+                        }
+                    }
+                    fill *= weight;
+                    line *= weight;
+                }
+                if paper <= 0.0 && fill <= 0.0 && line <= 0.0 {
+                    continue;
+                }
+                let (fill_through, fill_own) = layers.fill.at(fill);
+                let (line_through, line_own) = layers.line.at(line);
+                let lit = light((self.x.start + x) as f32 + 0.5, (self.y.start + y) as f32 + 0.5);
+                let base = if paper > 0.0 { layers.sheet.at(middle[0], middle[1], footprint) } else { [0.0; 3] };
+                let shine = layers.glare.map_or(0.0, |(spot, radius, strength)| {
+                    let r2 = ((middle[0] - spot[0]).powi(2) + (middle[1] - spot[1]).powi(2)) / (radius * radius);
+                    strength * (1.0 - r2).max(0.0).powi(2)
+                });
+                let k = y * width + x;
+                let mut hidden = 0.0;
+                for channel in 0..3 {
+                    let through = (1.0 - paper) * fill_through[channel] * line_through[channel];
+                    let own = (paper * base[channel] * fill_through[channel] + fill_own[channel]) * line_through[channel] + line_own[channel];
+                    self.planes[channel][k] = through;
+                    self.planes[3 + channel][k] = own * lit[channel];
+                    hidden += (1.0 - through) / 3.0;
+                }
+                if shine > 0.0 {
+                    (3..6).for_each(|channel| self.planes[channel][k] += shine * hidden);
+                }
+                self.ink[k] = fill.max(line).min(1.0);
+            }
+        }
+    }
+}
+
+/// The pixels over which a rectangle of the sheet reaches.
+fn bounds(view: &View, [left, top, right, bottom]: [f64; 4], (width, height): (usize, usize), pad: usize) -> Option<(Range<usize>, Range<usize>)> {
+    let (mut lo, mut hi) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+    for k in 0..=8 {
+        let t = f64::from(k) / 8.0;
+        let (x, y) = (left + (right - left) * t, top + (bottom - top) * t);
+        for p in [[x, top], [x, bottom], [left, y], [right, y]] {
+            match view.image_from_plane(p) {
+                Some(q) => (0..2).for_each(|c| (lo[c], hi[c]) = (lo[c].min(q[c]), hi[c].max(q[c]))),
+                // A part of the sheet is behind the camera: it may reach anywhere.
+                None => (lo, hi) = ([0.0; 2], [width as f64, height as f64]),
+            }
+        }
+    }
+    let range = |lo: f64, hi: f64, size: usize| ((lo - 1.0).max(0.0) as usize).saturating_sub(pad)..((hi.max(0.0) + 2.0) as usize + pad).min(size);
+    let (x, y) = (range(lo[0], hi[0], width), range(lo[1], hi[1], height));
+    (!x.is_empty() && !y.is_empty()).then_some((x, y))
+}
+
+/// How strongly a medium hides what is below on a sheet of this brightness: nothing translucent shows on the dark.
+#[must_use]
+pub fn opacity_on(nature: &Nature, brightness: f32) -> f32 {
+    let need = ((0.45 - brightness) / 0.3).clamp(0.0, 1.0) * 0.92;
+    nature.opacity.max(need)
+}

@@ -1,0 +1,51 @@
+//! Image k of a dataset: a pure function of config, seed, backgrounds and k.
+use crate::{
+    background::Backgrounds,
+    config::{Config, Style},
+    error::DatagenError,
+    hand, paper,
+};
+use image::RgbImage;
+use tcross_dataset::{Record, Rng, Split};
+
+/// One image, its truth, and the quality to store it with.
+#[derive(Debug)]
+pub struct Sample {
+    /// The picture.
+    pub image: RgbImage,
+    /// Its truth.
+    pub record: Record,
+    /// JPEG quality, 1..=100.
+    pub quality: u8,
+}
+
+/// Makes image `index`.
+///
+/// # Errors
+/// If no background can be read.
+pub fn sample(config: &Config, backgrounds: &Backgrounds, seed: u64, index: u64) -> Result<Sample, DatagenError> {
+    let backdrop = backgrounds.backdrop(config, seed, index)?;
+    let quality = config.jpeg_quality.sample(&mut Rng::for_item(seed, "datagen/jpeg", index)).round() as u8;
+    let mut record = Record {
+        image: format!("{}/{index:05}.jpg", Split::of(index as usize)),
+        width: config.width,
+        height: config.height,
+        background: Some(backdrop.name.clone()),
+        markers: Vec::new(),
+        intrinsics: None,
+        distortion: None,
+        effects: backdrop.effects.clone(),
+    };
+    let image = match config.style {
+        Style::Paper => {
+            let mut image = backdrop.into_image();
+            record.markers.push(paper::draw(&mut image, &config.paper, &mut Rng::for_item(seed, "datagen/paper", index)));
+            image
+        }
+        Style::HandDrawn => {
+            record.effects.insert("jpeg_quality".into(), quality.into());
+            hand::draw(backdrop.into_canvas(), config, seed, index, &mut record)
+        }
+    };
+    Ok(Sample { image, record, quality })
+}

@@ -1,0 +1,10 @@
+//! A star surrounded by a rectangle.
+use super::{Geometry, SQUARE};
+
+pub(super) const GEOMETRY: Geometry = Geometry {
+    outline: SQUARE,
+    filled: false,
+    framed: true,
+    lines: &[[[0.0, 0.0], [1.0, 1.0]], [[1.0, 0.0], [0.0, 1.0]], [[0.5, 0.0], [0.5, 1.0]], [[0.0, 0.5], [1.0, 0.5]]],
+    oriented: false,
+};

@@ -1,0 +1,136 @@
+//! What a marker is drawn on: sheets with their colours, lines and grain, or the photo's own surface.
+use crate::{
+    color::{self, Linear},
+    noise::{Spectrum, Tile},
+};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use tcross_dataset::Rng;
+
+/// What a marker is drawn on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Surface {
+    /// Straight onto whatever the photo shows.
+    Photo,
+    /// White paper.
+    White,
+    /// Ruled paper.
+    Ruled,
+    /// Squared paper.
+    Squared,
+    /// Brown wrapping paper.
+    Brown,
+    /// Coloured card.
+    Card,
+    /// A blackboard or a dark card.
+    Board,
+    /// A painted wall or a whiteboard.
+    Wall,
+}
+
+impl Surface {
+    /// All of them.
+    pub const ALL: [Self; 8] = [Self::Photo, Self::White, Self::Ruled, Self::Squared, Self::Brown, Self::Card, Self::Board, Self::Wall];
+
+    /// The word used in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Photo => "photo",
+            Self::White => "white",
+            Self::Ruled => "ruled",
+            Self::Squared => "squared",
+            Self::Brown => "brown",
+            Self::Card => "card",
+            Self::Board => "board",
+            Self::Wall => "wall",
+        }
+    }
+}
+
+/// One sheet, ready to be asked for its colour anywhere.
+#[derive(Debug, Clone)]
+pub struct Sheet {
+    /// Reflectance of the plain sheet.
+    pub base: Linear,
+    /// Margins around the marker's rectangle, in sides: left, top, right, bottom; `None` where there is no sheet.
+    pub margins: Option<[f32; 4]>,
+    rule: Option<Rule>,
+    grain: f32,
+    spectrum: Spectrum,
+    offset: [f32; 2],
+}
+
+#[derive(Debug, Clone)]
+struct Rule {
+    color: Linear,
+    period: f32,
+    width: f32,
+    phase: [f32; 2],
+    squared: bool,
+}
+
+impl Sheet {
+    /// Draws the sheet's own properties.
+    pub fn sample(surface: Surface, rng: &mut Rng) -> Self {
+        let white = || color::from_hsv(45.0, 0.03, 0.94);
+        let base = match surface {
+            Surface::Photo => [0.5; 3],
+            Surface::White | Surface::Ruled | Surface::Squared => {
+                color::scaled(color::mix(white(), color::from_hsv(rng.uniform(0.0, 360.0), 0.08, 0.95), 0.5), rng.uniform(0.8, 1.0) as f32)
+            }
+            Surface::Brown => color::from_hsv(rng.uniform(25.0, 38.0), rng.uniform(0.3, 0.5), rng.uniform(0.55, 0.78)),
+            Surface::Card => color::from_hsv(rng.uniform(0.0, 360.0), rng.uniform(0.1, 0.5), rng.uniform(0.75, 0.98)),
+            Surface::Board => color::from_hsv(rng.uniform(0.0, 360.0), rng.uniform(0.0, 0.4), rng.uniform(0.12, 0.3)),
+            Surface::Wall => color::from_hsv(rng.uniform(20.0, 220.0), rng.uniform(0.0, 0.15), rng.uniform(0.7, 0.97)),
+        };
+        let margins = (surface != Surface::Photo).then(|| {
+            let even = rng.uniform(0.04, 0.5);
+            std::array::from_fn(|_| (even * rng.uniform(0.6, 1.6)) as f32)
+        });
+        let ruled = matches!(surface, Surface::Ruled | Surface::Squared);
+        let period = rng.log_uniform(0.05, 0.3) as f32;
+        let blue = color::from_hsv(rng.uniform(190.0, 250.0), rng.uniform(0.2, 0.7), 0.75);
+        let color = if rng.chance(0.7) { blue } else { color::from_hsv(0.0, 0.0, 0.6) };
+        let rule = Rule {
+            color,
+            period,
+            width: period * rng.uniform(0.04, 0.1) as f32,
+            phase: [rng.unit() as f32, rng.unit() as f32],
+            squared: surface == Surface::Squared,
+        };
+        Self {
+            base,
+            margins,
+            rule: ruled.then_some(rule),
+            grain: (match surface {
+                Surface::Brown | Surface::Wall => rng.uniform(0.03, 0.08),
+                Surface::Board => rng.uniform(0.03, 0.15),
+                _ => rng.uniform(0.0, 0.04),
+            }) as f32,
+            spectrum: *rng.choose(&[Spectrum::Soft, Spectrum::Pink, Spectrum::Rough, Spectrum::Grain]),
+            offset: [rng.uniform(0.0, 256.0) as f32, rng.uniform(0.0, 256.0) as f32],
+        }
+    }
+
+    /// The reflectance at a place in sides of the marker; `footprint` is the size of a pixel there.
+    #[must_use]
+    pub fn at(&self, x: f32, y: f32, footprint: f32) -> Linear {
+        let mut color = self.base;
+        if let Some(rule) = &self.rule {
+            // How much of the pixel a line covers: the line's width over the pixel's, never below what a thin line adds.
+            let cover = |v: f32, phase: f32| {
+                let from_line = ((v / rule.period + phase).fract().abs() - 0.5).abs() * rule.period;
+                ((rule.width * 0.5 - from_line) / footprint + 0.5).clamp(0.0, 1.0).min(rule.width / footprint)
+            };
+            let mut ink = cover(y, rule.phase[1]);
+            if rule.squared {
+                ink = ink.max(cover(x, rule.phase[0]));
+            }
+            color = color::mix(color, rule.color, ink);
+        }
+        let noise = Tile::of(self.spectrum).smooth(x * 120.0 + self.offset[0], y * 120.0 + self.offset[1]);
+        color::scaled(color, 1.0 + self.grain * noise.clamp(-3.0, 3.0))
+    }
+}

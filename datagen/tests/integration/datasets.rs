@@ -1,0 +1,134 @@
+use std::{collections::BTreeMap, fs, path::Path, sync::atomic::AtomicBool};
+use tcross_datagen::{Backgrounds, Config, DatagenError, Dist, GenerateOptions, Style, generate};
+use tcross_dataset::{Dataset, Split};
+
+fn small(style: Style) -> Config {
+    Config { style, images: 20, width: 128, height: 96, markers: small_markers(), ..Default::default() }
+}
+
+fn small_markers() -> tcross_datagen::config::MarkersConfig {
+    tcross_datagen::config::MarkersConfig { side_px: Dist::log(8.0, 96.0), ..Default::default() }
+}
+
+fn make(config: &Config, out: &Path, change: impl FnOnce(&mut GenerateOptions)) -> Result<tcross_datagen::Summary, DatagenError> {
+    let mut options = GenerateOptions { out: out.to_owned(), seed: 5, ..Default::default() };
+    change(&mut options);
+    generate(config, &Backgrounds::embedded(), &options, &AtomicBool::new(false), &mut |_| {})
+}
+
+/// Every file's bytes, by name.
+fn contents(dir: &Path) -> BTreeMap<String, Vec<u8>> {
+    let mut files = BTreeMap::new();
+    let mut folders = vec![dir.to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                files.insert(path.strip_prefix(dir).unwrap().to_string_lossy().into_owned(), fs::read(&path).unwrap());
+            }
+        }
+    }
+    files
+}
+
+#[test]
+fn bytes_do_not_depend_on_threads() {
+    for style in [Style::HandDrawn, Style::Paper] {
+        let made = [1, 2, 5].map(|threads| {
+            let dir = tempfile::tempdir().unwrap();
+            make(&small(style), dir.path(), |o| o.threads = Some(threads)).unwrap();
+            contents(dir.path())
+        });
+        assert_eq!(made[0].len(), 20 + 4);
+        assert!(made[0] == made[1] && made[0] == made[2]);
+    }
+}
+
+#[test]
+fn another_seed_makes_other_images() {
+    let (a, b) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    make(&small(Style::HandDrawn), a.path(), |_| {}).unwrap();
+    make(&small(Style::HandDrawn), b.path(), |o| o.seed = 6).unwrap();
+    let (a, b) = (contents(a.path()), contents(b.path()));
+    assert!(a.iter().filter(|(name, _)| name.ends_with(".jpg")).all(|(name, bytes)| b[name] != *bytes));
+}
+
+#[test]
+fn shards_and_single_images_are_parts_of_the_whole() {
+    let whole = tempfile::tempdir().unwrap();
+    make(&small(Style::HandDrawn), whole.path(), |_| {}).unwrap();
+    let whole = contents(whole.path());
+    let mut lines = BTreeMap::<String, Vec<u8>>::new();
+    let mut pictures = 0;
+    for index in 0..3 {
+        let dir = tempfile::tempdir().unwrap();
+        make(&small(Style::HandDrawn), dir.path(), |o| o.shard = Some((index, 3))).unwrap();
+        for (name, bytes) in contents(dir.path()) {
+            if name.ends_with(".jsonl") {
+                lines.entry(name).or_default().extend(bytes);
+            } else if name.ends_with(".jpg") {
+                assert!(whole[&name] == bytes, "{name}");
+                pictures += 1;
+            }
+        }
+    }
+    assert_eq!(pictures, 20);
+    assert!(lines.iter().all(|(name, bytes)| whole[name] == *bytes));
+    let dir = tempfile::tempdir().unwrap();
+    make(&small(Style::HandDrawn), dir.path(), |o| o.only = Some(13)).unwrap();
+    assert!(contents(dir.path())["train/00013.jpg"] == whole["train/00013.jpg"]);
+}
+
+#[test]
+fn an_interrupted_run_is_resumed_to_the_same_bytes() {
+    let config = Config { images: 600, width: 48, height: 48, ..small(Style::Paper) };
+    let config = Config { paper: tcross_datagen::config::PaperConfig { width: Dist::int(5, 20), height: Dist::int(6, 20), at_sign_side: Dist::int(15, 20), ..config.paper }, ..config };
+    let (whole, cut) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    make(&config, whole.path(), |_| {}).unwrap();
+    let options = GenerateOptions { out: cut.path().to_owned(), seed: 5, ..Default::default() };
+    let stop = AtomicBool::new(false);
+    let stopped = generate(&config, &Backgrounds::embedded(), &options, &stop, &mut |_| stop.store(true, std::sync::atomic::Ordering::Relaxed));
+    assert!(matches!(stopped, Err(DatagenError::Stopped)));
+    assert!(!cut.path().join("dataset.toml").exists());
+    let other = make(&config, cut.path(), |o| (o.resume, o.seed) = (true, 6));
+    assert!(matches!(other, Err(DatagenError::Mismatch { .. })));
+    let summary = make(&config, cut.path(), |o| o.resume = true).unwrap();
+    assert_eq!(summary.resumed, 256);
+    assert!(contents(whole.path()) == contents(cut.path()));
+}
+
+#[test]
+fn truth_is_complete_and_inside() {
+    let dir = tempfile::tempdir().unwrap();
+    let config = Config { images: 60, ..small(Style::HandDrawn) };
+    let summary = make(&config, dir.path(), |_| {}).unwrap();
+    let dataset = Dataset::open(dir.path()).unwrap();
+    let records: Vec<_> = Split::ALL.into_iter().flat_map(|s| dataset.records(s).unwrap()).collect();
+    assert_eq!(records.len(), 60);
+    let markers: Vec<_> = records.iter().flat_map(|r| &r.markers).collect();
+    assert_eq!(markers.len() as u64, summary.manifest.markers);
+    assert!(markers.len() > 30 && records.iter().any(|r| r.markers.is_empty()));
+    for m in markers {
+        assert!(m.bounds.is_valid() && m.bounds.x_min >= 0.0 && m.bounds.x_max <= 128.0 && m.bounds.y_max <= 96.0, "{:?}", m.bounds);
+        let corners = m.corners.unwrap();
+        assert!(corners.signed_area() > 0.0);
+        let visible = m.visible.unwrap();
+        assert!((0.0..=1.0).contains(&visible));
+        let h = m.homography.unwrap();
+        let first = h.apply([0.0, 0.0]);
+        assert!((first[0] - corners.0[0][0]).abs() < 1e-6 && (first[1] - corners.0[0][1]).abs() < 1e-6);
+        let mask: u32 = m.mask.as_ref().unwrap().iter().sum();
+        assert!(mask <= 128 * 96);
+    }
+}
+
+#[test]
+fn a_full_folder_of_someone_else_is_left_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    fs::create_dir(dir.path().join("train")).unwrap();
+    fs::write(dir.path().join("train/mine.txt"), "precious").unwrap();
+    make(&small(Style::Paper), dir.path(), |_| {}).unwrap();
+    assert_eq!(fs::read(dir.path().join("train/mine.txt")).unwrap(), b"precious");
+}

@@ -15,7 +15,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
     };
     let backgrounds = if words.len() > 4 { Backgrounds::open(word(4))? } else { Backgrounds::embedded() };
-    let options = GenerateOptions { out: word(1).into(), images: Some(word(2).parse()?), threads: word(3).parse().ok(), ..Default::default() };
+    let options =
+        GenerateOptions { out: word(1).into(), images: Some(word(2).parse()?), threads: word(3).parse().ok(), ..Default::default() };
     let start = Instant::now();
     let made = generate(&config, &backgrounds, &options, &AtomicBool::new(false), &mut |_| {})?;
     let seconds = start.elapsed().as_secs_f64();

@@ -82,9 +82,7 @@ impl Canvas {
     pub fn mean(&self, x: std::ops::Range<usize>, y: std::ops::Range<usize>) -> Linear {
         let (x, y) = (x.start..x.end.min(self.width), y.start..y.end.min(self.height));
         let n = (x.len() * y.len()).max(1) as f32;
-        std::array::from_fn(|c| {
-            y.clone().map(|row| self.planes[c][row * self.width..][x.clone()].iter().sum::<f32>()).sum::<f32>() / n
-        })
+        std::array::from_fn(|c| y.clone().map(|row| self.planes[c][row * self.width..][x.clone()].iter().sum::<f32>()).sum::<f32>() / n)
     }
 }
 

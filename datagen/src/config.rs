@@ -202,7 +202,15 @@ impl Default for MarkersConfig {
             bend: Dist::uniform(-0.5, 0.5),
             surfaces: Surface::ALL.into_iter().map(|s| (s, if s == Surface::Photo { 2.0 } else { 1.0 })).collect(),
             media: even(&Medium::ALL),
-            line_media: even(&[Medium::FeltTip, Medium::BallPen, Medium::DryErase, Medium::Print, Medium::Crayon, Medium::Highlighter, Medium::Paint]),
+            line_media: even(&[
+                Medium::FeltTip,
+                Medium::BallPen,
+                Medium::DryErase,
+                Medium::Print,
+                Medium::Crayon,
+                Medium::Highlighter,
+                Medium::Paint,
+            ]),
         }
     }
 }

@@ -145,7 +145,9 @@ impl FromStr for Dist {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let wrong = |part: &str| {
-            format!("cannot read '{part}' in distribution \"{text}\": expected a number, 'a..b', 'log a..b' or 'int a..b', each with an optional weight such as '20%'")
+            format!(
+                "cannot read '{part}' in distribution \"{text}\": expected a number, 'a..b', 'log a..b' or 'int a..b', each with an optional weight such as '20%'"
+            )
         };
         let number = |word: &str| word.trim().parse::<f64>().ok().filter(|v| v.is_finite());
         let mut parts = Vec::new();

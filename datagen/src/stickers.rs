@@ -34,7 +34,8 @@ pub fn paint(canvas: &mut Canvas, rng: &mut Rng) {
             // A frame or a ring around another colour.
             fill(canvas, &outline, |_, _| (lit(first), 1.0));
             let shrink = rng.uniform(0.4, 0.85) as f32;
-            let inner: Vec<[f32; 2]> = outline.iter().map(|p| [center[0] + (p[0] - center[0]) * shrink, center[1] + (p[1] - center[1]) * shrink]).collect();
+            let inner: Vec<[f32; 2]> =
+                outline.iter().map(|p| [center[0] + (p[0] - center[0]) * shrink, center[1] + (p[1] - center[1]) * shrink]).collect();
             fill(canvas, &inner, |_, _| (lit(second), 1.0));
         }
         3 => {

@@ -148,7 +148,8 @@ fn part_path(parts: &Path, chunk: &Range<u64>) -> PathBuf {
 fn prepare(options: &GenerateOptions, fingerprint: &str) -> Result<PathBuf, DatagenError> {
     let (out, parts) = (&options.out, options.out.join(PARTS));
     let mark = parts.join("fingerprint");
-    let ours = mark.is_file() || fs::read_to_string(out.join("dataset.toml")).is_ok_and(|text| text.contains("generator = \"tcross datagen\""));
+    let ours =
+        mark.is_file() || fs::read_to_string(out.join("dataset.toml")).is_ok_and(|text| text.contains("generator = \"tcross datagen\""));
     if options.resume && mark.is_file() {
         if files::read_text(&mark)? != fingerprint {
             return Err(DatagenError::Mismatch { dir: out.clone(), what: "config, seed or backgrounds".into() });

@@ -86,7 +86,9 @@ impl Photos {
         let mut order: Vec<usize> = (0..self.names.len()).collect();
         Rng::for_item(seed, "datagen/photos", 0).shuffle(&mut order);
         let n = order.len();
-        let of = |place: usize| if n < 10 { [Split::Test, Split::Val].get(n - 1 - place).copied().unwrap_or(Split::Train) } else { Split::of(place) };
+        let of = |place: usize| {
+            if n < 10 { [Split::Test, Split::Val].get(n - 1 - place).copied().unwrap_or(Split::Train) } else { Split::of(place) }
+        };
         order.into_iter().enumerate().filter(|(place, _)| of(*place) == split).map(|(_, photo)| photo).collect()
     }
 

@@ -205,7 +205,11 @@ impl Hand<'_> {
                 let t = k as f64 / steps as f64;
                 let pi = std::f64::consts::PI;
                 let window = libm::sin(pi * t);
-                let wave: f64 = waves.iter().enumerate().map(|(n, (size, bend))| size * libm::sin(pi * (n + 1) as f64 * (t + bend * t * (1.0 - t)))).sum();
+                let wave: f64 = waves
+                    .iter()
+                    .enumerate()
+                    .map(|(n, (size, bend))| size * libm::sin(pi * (n + 1) as f64 * (t + bend * t * (1.0 - t))))
+                    .sum();
                 let shake = tremor.0 * libm::sin(tremor.1 * t * 6.28 + tremor.2) * window.min(1.0);
                 let off = hand * (wave + shake);
                 let speed = window.max(0.0).sqrt();

@@ -93,7 +93,9 @@ impl Film {
         let lines: Vec<Vec<Option<[f32; 2]>>> = (0..=rows).map(line).collect();
         for j in 0..rows {
             for i in 0..columns {
-                let (Some(a), Some(b), Some(c), Some(d)) = (lines[j][i], lines[j][i + 1], lines[j + 1][i + 1], lines[j + 1][i]) else { continue };
+                let (Some(a), Some(b), Some(c), Some(d)) = (lines[j][i], lines[j][i + 1], lines[j + 1][i + 1], lines[j + 1][i]) else {
+                    continue;
+                };
                 let near = |k: usize, lo: f64, hi: f64| {
                     let (min, max) = (a[k].min(b[k]).min(c[k]).min(d[k]), a[k].max(b[k]).max(c[k]).max(d[k]));
                     f64::from(max) > lo && f64::from(min) < hi
@@ -115,7 +117,8 @@ impl Film {
             let Some(at) = view.image_from_plane(p) else { continue };
             let Some(here) = view.plane_from_image(at) else { continue };
             let step = |d: [f64; 2]| {
-                view.plane_from_image([at[0] + d[0], at[1] + d[1]]).map_or(1.0, |q| ((q[0] - here[0]).powi(2) + (q[1] - here[1]).powi(2)).sqrt() * scale)
+                view.plane_from_image([at[0] + d[0], at[1] + d[1]])
+                    .map_or(1.0, |q| ((q[0] - here[0]).powi(2) + (q[1] - here[1]).powi(2)).sqrt() * scale)
             };
             most = (most.0.max(step([0.25, 0.0]) * 4.0), most.1.max(step([0.0, 0.25]) * 4.0));
         }
@@ -123,7 +126,15 @@ impl Film {
         (count(most.0), count(most.1))
     }
 
-    fn cell(&mut self, layers: &Layers, sheet: Option<[f32; 4]>, (nx, ny): (usize, usize), (x0, y0): (usize, usize), nodes: [[f32; 2]; 4], light: &impl Fn(f32, f32) -> Linear) {
+    fn cell(
+        &mut self,
+        layers: &Layers,
+        sheet: Option<[f32; 4]>,
+        (nx, ny): (usize, usize),
+        (x0, y0): (usize, usize),
+        nodes: [[f32; 2]; 4],
+        light: &impl Fn(f32, f32) -> Linear,
+    ) {
         let (width, height) = (self.x.len(), self.y.len());
         let [a, b, c, d] = nodes;
         let at = |u: f32, v: f32| -> [f32; 2] {
@@ -175,7 +186,8 @@ impl Film {
                 let mut hidden = 0.0;
                 for channel in 0..3 {
                     let through = (1.0 - paper) * fill_through[channel] * line_through[channel];
-                    let own = (paper * base[channel] * fill_through[channel] + fill_own[channel]) * line_through[channel] + line_own[channel];
+                    let own =
+                        (paper * base[channel] * fill_through[channel] + fill_own[channel]) * line_through[channel] + line_own[channel];
                     self.planes[channel][k] = through;
                     self.planes[3 + channel][k] = own * lit[channel];
                     hidden += (1.0 - through) / 3.0;
@@ -190,7 +202,12 @@ impl Film {
 }
 
 /// The pixels over which a rectangle of the sheet reaches.
-fn bounds(view: &View, [left, top, right, bottom]: [f64; 4], (width, height): (usize, usize), pad: usize) -> Option<(Range<usize>, Range<usize>)> {
+fn bounds(
+    view: &View,
+    [left, top, right, bottom]: [f64; 4],
+    (width, height): (usize, usize),
+    pad: usize,
+) -> Option<(Range<usize>, Range<usize>)> {
     let (mut lo, mut hi) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
     for k in 0..=8 {
         let t = f64::from(k) / 8.0;
@@ -203,7 +220,8 @@ fn bounds(view: &View, [left, top, right, bottom]: [f64; 4], (width, height): (u
             }
         }
     }
-    let range = |lo: f64, hi: f64, size: usize| ((lo - 1.0).max(0.0) as usize).saturating_sub(pad)..((hi.max(0.0) + 2.0) as usize + pad).min(size);
+    let range =
+        |lo: f64, hi: f64, size: usize| ((lo - 1.0).max(0.0) as usize).saturating_sub(pad)..((hi.max(0.0) + 2.0) as usize + pad).min(size);
     let (x, y) = (range(lo[0], hi[0], width), range(lo[1], hi[1], height));
     (!x.is_empty() && !y.is_empty()).then_some((x, y))
 }

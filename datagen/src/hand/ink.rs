@@ -96,7 +96,13 @@ impl Ink {
                         // Streaks follow the stroke: fine across it, long along it.
                         let side = (px * d[1] - py * d[0]) / length;
                         let along = walked + t * length;
-                        flow *= 1.0 - nature.streaks * 0.5 * (1.0 + Tile::of(Spectrum::Pink).nearest(side / self.scale * 900.0 + offset[0] + 4096.0, along / self.scale * 60.0 + offset[1])).clamp(0.0, 1.5);
+                        flow *= 1.0
+                            - nature.streaks
+                                * 0.5
+                                * (1.0
+                                    + Tile::of(Spectrum::Pink)
+                                        .nearest(side / self.scale * 900.0 + offset[0] + 4096.0, along / self.scale * 60.0 + offset[1]))
+                                .clamp(0.0, 1.5);
                     }
                     let cell = &mut layer[j * w + i];
                     *cell = cell.max(cover * flow.max(0.0));

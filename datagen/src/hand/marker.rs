@@ -108,9 +108,11 @@ impl Spec {
     pub(super) fn look(&self, canvas: &Canvas, view: &View) -> Look<'_> {
         let mut rng = Rng::for_item(self.seed, "datagen/marker/look", 0);
         let [w, h] = self.stance.half;
-        let scale = [[0.0, 0.0], [-w, -h], [w, -h], [w, h], [-w, h]].into_iter().filter_map(|p| view.scales(p)).map(|s| s.0).fold(8.0, f64::max);
+        let scale =
+            [[0.0, 0.0], [-w, -h], [w, -h], [w, h], [-w, h]].into_iter().filter_map(|p| view.scales(p)).map(|s| s.0).fold(8.0, f64::max);
         let (fill, line) = (self.medium.nature(), self.line_medium.nature());
-        let plan = Plan { shape: self.shape, half: self.stance.half, fill: &fill, line: &line, scale: (scale * 1.2).clamp(40.0, 640.0) as f32 };
+        let plan =
+            Plan { shape: self.shape, half: self.stance.half, fill: &fill, line: &line, scale: (scale * 1.2).clamp(40.0, 640.0) as f32 };
         let drawing = plan.draw(&self.hand, Rng::for_item(self.seed, "datagen/marker/hand", 0));
         let below = if self.surface == Surface::Photo { brightness_at(canvas, view) } else { color::luminance(self.sheet.base) };
         let glare = self.glare.then(|| {
@@ -138,7 +140,9 @@ impl Spec {
         let area = corners.signed_area().abs();
         let depth = |p: &[f64; 2]| p[0] * n[0] + p[1] * n[1];
         let side = |p: &[f64; 2]| p[0] * along[0] + p[1] * along[1];
-        let reach = |f: &dyn Fn(&[f64; 2]) -> f64| corners.0.iter().map(f).fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
+        let reach = |f: &dyn Fn(&[f64; 2]) -> f64| {
+            corners.0.iter().map(f).fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)))
+        };
         let ((near, far), (left, right)) = (reach(&depth), reach(&side));
         let (wide, deep) = ((right - left) * rng.uniform(0.1, 0.5) + 2.0, (far - near) * rng.uniform(0.1, 0.6) + 2.0);
         let outline = |at: f64| {
@@ -183,7 +187,8 @@ fn colors(config: &Config, medium: Medium, sheet: &Sheet, rng: &mut Rng) -> (Lin
     let nature = medium.nature();
     let paper = color::luminance(sheet.base);
     let hue = rng.uniform(0.0, 360.0);
-    let mut fill = color::from_hsv(hue, rng.uniform(nature.saturation[0], nature.saturation[1]), rng.uniform(nature.value[0], nature.value[1]));
+    let mut fill =
+        color::from_hsv(hue, rng.uniform(nature.saturation[0], nature.saturation[1]), rng.uniform(nature.value[0], nature.value[1]));
     if paper < 0.15 {
         // On a board only light colours show.
         fill = color::from_hsv(hue, rng.uniform(0.4, 0.9), rng.uniform(0.75, 1.0));

@@ -160,7 +160,8 @@ impl Light {
 /// kept small.
 fn grain_of(canvas: &Canvas) -> f32 {
     let plane = &canvas.planes[1];
-    let mut steps: Vec<f32> = plane.chunks_exact(canvas.width).step_by(7).flat_map(|row| row.windows(2).step_by(5).map(|w| (w[1] - w[0]).abs())).collect();
+    let mut steps: Vec<f32> =
+        plane.chunks_exact(canvas.width).step_by(7).flat_map(|row| row.windows(2).step_by(5).map(|w| (w[1] - w[0]).abs())).collect();
     steps.sort_by(f32::total_cmp);
     steps.get(steps.len() / 2).map_or(0.0, |m| (m * 0.75).min(0.015))
 }
@@ -348,7 +349,9 @@ fn expose(canvas: &mut Canvas, config: &Config, motion: Option<&Motion>, stream:
             json!({ "length_px": rounded(m.length), "angle_deg": rounded(m.angle.to_degrees()), "curve": rounded(m.curve), "camera": m.camera_moves }),
         );
     }
-    for (key, value) in [("defocus_px", defocus), ("exposure_stops", exposure), ("white_balance_stops", balance), ("noise_percent", percent)] {
+    for (key, value) in
+        [("defocus_px", defocus), ("exposure_stops", exposure), ("white_balance_stops", balance), ("noise_percent", percent)]
+    {
         record.effects.insert(key.into(), rounded(value).into());
     }
 }

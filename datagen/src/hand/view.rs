@@ -128,7 +128,8 @@ impl View {
     #[must_use]
     pub fn scales(&self, p: [f64; 2]) -> Option<(f64, f64)> {
         const STEP: f64 = 1e-3;
-        let (at, right, down) = (self.image_from_plane(p)?, self.image_from_plane([p[0] + STEP, p[1]])?, self.image_from_plane([p[0], p[1] + STEP])?);
+        let (at, right, down) =
+            (self.image_from_plane(p)?, self.image_from_plane([p[0] + STEP, p[1]])?, self.image_from_plane([p[0], p[1] + STEP])?);
         let (a, c) = ((right[0] - at[0]) / STEP, (right[1] - at[1]) / STEP);
         let (b, d) = ((down[0] - at[0]) / STEP, (down[1] - at[1]) / STEP);
         let (sum, det) = ((a * a + b * b + c * c + d * d) / 2.0, a * d - b * c);

@@ -80,7 +80,10 @@ fn colors(kind: PaperColors, rng: &mut Rng) -> (Rgb<u8>, Rgb<u8>) {
     }
     let level: [u8; 3] = std::array::from_fn(|_| rng.int(200, 255) as u8);
     let (dark, bright) = (rng.index(3), rng.index(3));
-    (Rgb(std::array::from_fn(|c| if c == dark { 0 } else { level[c] })), Rgb(std::array::from_fn(|c| if c == bright { level[c] } else { 0 })))
+    (
+        Rgb(std::array::from_fn(|c| if c == dark { 0 } else { level[c] })),
+        Rgb(std::array::from_fn(|c| if c == bright { level[c] } else { 0 })),
+    )
 }
 
 /// OpenCV's `putText` of "@" in the face that [`Shape::AtSign`] holds: scale width/23, origin (x - 2, y - 1 + height).

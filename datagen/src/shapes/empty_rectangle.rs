@@ -1,10 +1,4 @@
 //! Four sides.
 use super::{Geometry, SQUARE};
 
-pub(super) const GEOMETRY: Geometry = Geometry {
-    outline: SQUARE,
-    filled: false,
-    framed: true,
-    lines: &[],
-    oriented: false,
-};
+pub(super) const GEOMETRY: Geometry = Geometry { outline: SQUARE, filled: false, framed: true, lines: &[], oriented: false };

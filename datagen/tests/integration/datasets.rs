@@ -84,12 +84,21 @@ fn shards_and_single_images_are_parts_of_the_whole() {
 #[test]
 fn an_interrupted_run_is_resumed_to_the_same_bytes() {
     let config = Config { images: 600, width: 48, height: 48, ..small(Style::Paper) };
-    let config = Config { paper: tcross_datagen::config::PaperConfig { width: Dist::int(5, 20), height: Dist::int(6, 20), at_sign_side: Dist::int(15, 20), ..config.paper }, ..config };
+    let config = Config {
+        paper: tcross_datagen::config::PaperConfig {
+            width: Dist::int(5, 20),
+            height: Dist::int(6, 20),
+            at_sign_side: Dist::int(15, 20),
+            ..config.paper
+        },
+        ..config
+    };
     let (whole, cut) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     make(&config, whole.path(), |_| {}).unwrap();
     let options = GenerateOptions { out: cut.path().to_owned(), seed: 5, ..Default::default() };
     let stop = AtomicBool::new(false);
-    let stopped = generate(&config, &Backgrounds::embedded(), &options, &stop, &mut |_| stop.store(true, std::sync::atomic::Ordering::Relaxed));
+    let stopped =
+        generate(&config, &Backgrounds::embedded(), &options, &stop, &mut |_| stop.store(true, std::sync::atomic::Ordering::Relaxed));
     assert!(matches!(stopped, Err(DatagenError::Stopped)));
     assert!(!cut.path().join("dataset.toml").exists());
     let other = make(&config, cut.path(), |o| (o.resume, o.seed) = (true, 6));

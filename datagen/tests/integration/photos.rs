@@ -8,7 +8,8 @@ fn photo(dir: &Path, name: &str, shade: u8) {
 }
 
 fn config() -> Config {
-    let mut config = Config { style: Style::Paper, images: 40, width: 96, height: 96, jpeg_quality: Dist::constant(95.0), ..Default::default() };
+    let mut config =
+        Config { style: Style::Paper, images: 40, width: 96, height: 96, jpeg_quality: Dist::constant(95.0), ..Default::default() };
     config.background.mirrored = 0.0;
     config
 }

@@ -1,5 +1,9 @@
 //! A table from above: wood or cloth, papers with writing, books, pens, cups, saturated things.
-use super::{Material, fill, leaves::{cover, shadow}, polygon};
+use super::{
+    Material, fill,
+    leaves::{cover, shadow},
+    polygon,
+};
 use crate::{canvas::Canvas, color};
 use tcross_dataset::Rng;
 

@@ -12,7 +12,8 @@ pub(super) fn paint(canvas: &mut Canvas, rng: &mut Rng) {
     let saturated = rng.uniform(0.05, 0.5);
     let corners = [4, 4, 5, 12, 16][rng.index(5)];
     let count = rng.int(60, 420);
-    let palette: Vec<Material> = (0..12).map(|_| if rng.chance(saturated) { Material::saturated(rng) } else { Material::muted(rng) }).collect();
+    let palette: Vec<Material> =
+        (0..12).map(|_| if rng.chance(saturated) { Material::saturated(rng) } else { Material::muted(rng) }).collect();
     for k in 0..count {
         // The inverse of the cumulative distribution of r^-3, large leaves first more often, so that small ones are not all hidden.
         let u = rng.unit();

@@ -1,6 +1,12 @@
 //! Scenes that need no file: rooms, landscapes, desks and patches with the spectra, lights and colours of photographs, and with much
 //! saturated clutter, because that is what a marker must not be taken for.
-use crate::{canvas::Canvas, color, config::{self, Config, SceneKind}, noise::{Spectrum, Tile}, stickers};
+use crate::{
+    canvas::Canvas,
+    color,
+    config::{self, Config, SceneKind},
+    noise::{Spectrum, Tile},
+    stickers,
+};
 use tcross_dataset::Rng;
 
 mod desk;
@@ -54,7 +60,8 @@ fn light(canvas: &mut Canvas, rng: &mut Rng) {
     let at = |i: usize, j: usize| {
         let (x, y) = ((i * STEP) as f32, (j * STEP) as f32);
         let (u, v) = (x / width as f32 - 0.5, y / height as f32 - 0.5);
-        let slow = 1.0 + sx * (x - width as f32 / 2.0) + sy * (y - height as f32 / 2.0) + clouds * tile.smooth(ox + x * scale, oy + y * scale);
+        let slow =
+            1.0 + sx * (x - width as f32 / 2.0) + sy * (y - height as f32 / 2.0) + clouds * tile.smooth(ox + x * scale, oy + y * scale);
         exposure * slow.max(0.15) * (1.0 - vignette * (u * u + v * v))
     };
     let lattice = |j: usize| (0..columns).map(|i| at(i, j)).collect::<Vec<f32>>();

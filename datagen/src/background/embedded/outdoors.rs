@@ -66,7 +66,8 @@ fn hills(canvas: &mut Canvas, horizon: f32, layer: f32, rng: &mut Rng) {
 
 fn ground(canvas: &mut Canvas, horizon: f32, rng: &mut Rng) {
     let grass = rng.chance(0.4);
-    let base = if grass { color::from_hsv(rng.uniform(60.0, 130.0), rng.uniform(0.3, 0.8), rng.uniform(0.3, 0.7)) } else { color::muted(rng) };
+    let base =
+        if grass { color::from_hsv(rng.uniform(60.0, 130.0), rng.uniform(0.3, 0.8), rng.uniform(0.3, 0.7)) } else { color::muted(rng) };
     let material = Material::of(base, rng);
     let height = canvas.height as f32;
     let middle = canvas.width as f32 * rng.uniform(0.2, 0.8) as f32;
@@ -99,7 +100,9 @@ fn house(canvas: &mut Canvas, horizon: f32, rng: &mut Rng) {
             let (cx, cy) = (x + u * wide, left + (right - left) * u + v * high);
             let (rx, ry) = (wide / columns * share / 2.0, high / rows * share / 2.0);
             let tone = rng.uniform(0.5, 1.2) as f32;
-            fill(canvas, &[[cx - rx, cy - ry], [cx + rx, cy - ry], [cx + rx, cy + ry], [cx - rx, cy + ry]], |_, _| (color::scaled(pane, tone), 0.9));
+            fill(canvas, &[[cx - rx, cy - ry], [cx + rx, cy - ry], [cx + rx, cy + ry], [cx - rx, cy + ry]], |_, _| {
+                (color::scaled(pane, tone), 0.9)
+            });
         }
     }
 }
@@ -111,7 +114,9 @@ fn tree(canvas: &mut Canvas, horizon: f32, rng: &mut Rng) {
     let (x, crown) = (rng.uniform(0.0, 1.0) as f32 * w, near * rng.uniform(0.08, 0.3) as f32 * w);
     let bark = Material::of(color::from_hsv(30.0, 0.3, 0.3), rng).plain();
     let thick = crown * 0.08;
-    fill(canvas, &[[x - thick, foot - crown], [x + thick, foot - crown], [x + thick, foot], [x - thick, foot]], |px, py| (bark.at(px, py), 1.0));
+    fill(canvas, &[[x - thick, foot - crown], [x + thick, foot - crown], [x + thick, foot], [x - thick, foot]], |px, py| {
+        (bark.at(px, py), 1.0)
+    });
     let leaf = color::from_hsv(rng.uniform(40.0, 140.0), rng.uniform(0.3, 0.8), rng.uniform(0.2, 0.6));
     let tile = Tile::of(Spectrum::Rough);
     for _ in 0..rng.int(4, 12) {

@@ -32,7 +32,11 @@ pub(crate) fn fill(canvas: &mut Canvas, points: &[[f32; 2]], mut shader: impl Fn
             }
             crossings.sort_by(f32::total_cmp);
             for pair in crossings.as_chunks::<2>().0 {
-                add_span(&mut cover, pair[0].clamp(x_min as f32, x_max as f32) - x_min as f32, pair[1].clamp(x_min as f32, x_max as f32) - x_min as f32);
+                add_span(
+                    &mut cover,
+                    pair[0].clamp(x_min as f32, x_max as f32) - x_min as f32,
+                    pair[1].clamp(x_min as f32, x_max as f32) - x_min as f32,
+                );
             }
         }
         for (k, covered) in cover[..x_max - x_min].iter().enumerate() {

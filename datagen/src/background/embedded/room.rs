@@ -127,7 +127,8 @@ fn stand(canvas: &mut Canvas, horizon: f32, rng: &mut Rng) {
     let (w, h) = (canvas.width as f32, canvas.height as f32);
     let foot = rng.uniform(f64::from(horizon), f64::from(h) * 1.1) as f32;
     let near = ((foot - horizon) / (h - horizon) + 0.4).max(0.3);
-    let (x, wide, high) = (rng.uniform(-0.1, 1.0) as f32 * w, rng.uniform(0.08, 0.35) as f32 * w * near, rng.uniform(0.08, 0.45) as f32 * h * near);
+    let (x, wide, high) =
+        (rng.uniform(-0.1, 1.0) as f32 * w, rng.uniform(0.08, 0.35) as f32 * w * near, rng.uniform(0.08, 0.45) as f32 * h * near);
     let material = if rng.chance(0.35) { Material::saturated(rng) } else { Material::muted(rng) };
     if rng.chance(0.3) {
         let outline = polygon([x, foot - high / 2.0], wide / 2.0, high / 2.0, 14, 0.2, rng);

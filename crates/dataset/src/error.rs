@@ -32,6 +32,16 @@ pub enum DatasetError {
         /// The splits that are there, or `none`.
         found: String,
     },
+    /// Something is there that should not be, or cannot be used for what was asked.
+    #[error("{path}: found {found}; expected {expected}")]
+    Unfit {
+        /// The file or folder.
+        path: PathBuf,
+        /// What is there.
+        found: String,
+        /// What is allowed.
+        expected: String,
+    },
     /// A picture that cannot be read.
     #[error("{path}: unreadable image: {message}")]
     Image {
@@ -46,6 +56,11 @@ impl DatasetError {
     /// Wraps an I/O error with the path it happened at.
     pub fn io(path: impl AsRef<Path>, source: std::io::Error) -> Self {
         Self::Io { path: path.as_ref().to_owned(), source }
+    }
+
+    /// Something of another kind than what is needed.
+    pub fn unfit(path: impl AsRef<Path>, found: impl ToString, expected: impl ToString) -> Self {
+        Self::Unfit { path: path.as_ref().to_owned(), found: found.to_string(), expected: expected.to_string() }
     }
 
     /// An error at a line (1-based) of a text file.

@@ -4,7 +4,7 @@ use serde::{Serialize, de::DeserializeOwned};
 use std::{
     fs,
     io::{BufRead, BufReader},
-    path::Path,
+    path::{Path, PathBuf},
 };
 
 /// Writes bytes so that the file is either the old one or the whole new one.
@@ -67,6 +67,22 @@ pub fn write_jsonl<'a, T: Serialize + 'a>(path: impl AsRef<Path>, rows: impl Int
     write_atomically(path, text)
 }
 
+/// Puts a file also under another name: as a hard link where the system can, else as a copy. Folders are made.
+///
+/// # Errors
+/// If the source is missing or the folder cannot be written.
+pub fn place(from: impl AsRef<Path>, to: impl AsRef<Path>) -> Result<(), DatasetError> {
+    let (from, to) = (from.as_ref(), to.as_ref());
+    if let Some(parent) = to.parent() {
+        create_dir(parent)?;
+    }
+    if !from.is_file() {
+        return Err(DatasetError::io(from, std::io::ErrorKind::NotFound.into()));
+    }
+    let _ = fs::remove_file(to);
+    fs::hard_link(from, to).or_else(|_| fs::copy(from, to).map(|_| ())).map_err(|e| DatasetError::io(to, e))
+}
+
 /// BLAKE3 of a file's bytes, in hex.
 ///
 /// # Errors
@@ -76,4 +92,23 @@ pub fn digest(path: impl AsRef<Path>) -> Result<String, DatasetError> {
     let mut file = fs::File::open(path.as_ref()).map_err(|e| DatasetError::io(&path, e))?;
     std::io::copy(&mut file, &mut hasher).map_err(|e| DatasetError::io(&path, e))?;
     Ok(hasher.finalize().to_hex().to_string())
+}
+
+/// BLAKE3 of bytes, in hex.
+#[must_use]
+pub fn digest_bytes(bytes: impl AsRef<[u8]>) -> String {
+    blake3::hash(bytes.as_ref()).to_hex().to_string()
+}
+
+/// The folder of reference material that larger tests compare with: `$TCROSS_SHARED`, else `../shared` beside the workspace.
+/// Tests that need it are skipped, with a message, where it is absent.
+#[must_use]
+pub fn shared_dir() -> Option<PathBuf> {
+    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
+    let named = std::env::var_os("TCROSS_SHARED").map(PathBuf::from);
+    let found = named.into_iter().chain([beside]).find(|dir| dir.is_dir());
+    if found.is_none() {
+        eprintln!("skipped: no reference material; set TCROSS_SHARED to its folder");
+    }
+    found
 }

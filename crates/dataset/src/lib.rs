@@ -10,14 +10,22 @@
 //! }
 //! # Ok::<(), tcross_dataset::DatasetError>(())
 //! ```
+pub mod check;
 pub mod dataset;
 pub mod detections;
+pub mod digest;
+pub mod draw;
 pub mod error;
 pub mod files;
+pub mod formats;
 pub mod geom;
+pub mod merge;
+pub mod preview;
 pub mod record;
+pub mod resplit;
 pub mod rng;
 pub mod split;
+pub mod stats;
 
 pub use dataset::Dataset;
 pub use detections::{Detection, ImageDetections, Pose, PoseOutcome};

@@ -1,0 +1,74 @@
+//! Deals the images of a set anew to train, validation and test.
+use crate::{
+    Rng, Split,
+    formats::{Gathering, Item, Labelled},
+};
+use std::collections::BTreeMap;
+
+/// Deals images by `parts` (train : val : test, not all zero), in an order drawn from `seed`. Images that share a photo stay
+/// together, so no photo is in two splits; the parts are therefore met only as closely as the photos allow. Names stay as
+/// they were; one that would occur twice gets its old split's name in front.
+#[must_use]
+pub fn resplit(set: &Labelled, parts: [u32; 3], seed: u64) -> Labelled {
+    let mut groups: BTreeMap<String, Vec<(Split, &Item)>> = BTreeMap::new();
+    for (split, item) in set.items() {
+        let photo = item.record.background.as_ref().filter(|b| !b.starts_with("procedural/"));
+        let key = photo.map_or_else(|| format!("image {split} {}", item.record.image), |p| format!("photo {p}"));
+        groups.entry(key).or_default().push((split, item));
+    }
+    let mut groups: Vec<_> = groups.into_values().collect();
+    Rng::for_item(seed, "dataset/resplit", 0).shuffle(&mut groups);
+
+    let (sum, images) = (f64::from(parts.iter().sum::<u32>()), set.items().count() as f64);
+    let mut dealt: [Vec<(Split, &Item)>; 3] = Default::default();
+    for group in groups {
+        // The split that lacks most of its share takes the next photo; the earlier of two that lack the same.
+        let lack = |k: usize| f64::from(parts[k]) / sum * images - dealt[k].len() as f64;
+        let neediest = (0..3).filter(|k| parts[*k] > 0).max_by(|a, b| lack(*a).total_cmp(&lack(*b)).then(b.cmp(a)));
+        dealt[neediest.unwrap_or(0)].extend(group);
+    }
+    let mut out = Gathering::new(set.boxes);
+    for (split, mut items) in Split::ALL.into_iter().zip(dealt) {
+        items.sort_by_key(|(old, item)| (*old, &item.record.image));
+        for (old, item) in items {
+            out.add(split, item.clone(), old.name());
+        }
+    }
+    out.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Record, dataset::BoxConvention, formats};
+
+    #[test]
+    fn photos_stay_together_and_parts_are_met() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut set = formats::tests::random_set(dir.path(), 1, BoxConvention::Continuous);
+        let template = set.splits[&Split::Train][0].record.clone();
+        let rows = (0..400).map(|k| Record {
+            image: format!("train/{k:05}.jpg"),
+            background: Some(format!("photo{}.jpg", k / 4)),
+            ..template.clone()
+        });
+        set = Labelled::in_folder(dir.path(), set.boxes, [(Split::Train, rows.collect())].into());
+        let dealt = resplit(&set, [7, 2, 1], 3);
+        assert_eq!(dealt.splits.values().map(Vec::len).collect::<Vec<_>>(), [280, 80, 40]);
+        let mut home: BTreeMap<&str, Split> = BTreeMap::new();
+        for (split, record) in dealt.records() {
+            assert_eq!(*home.entry(record.background.as_deref().unwrap()).or_insert(split), split);
+        }
+        assert_eq!(dealt, resplit(&set, [7, 2, 1], 3));
+        assert_ne!(dealt, resplit(&set, [7, 2, 1], 4));
+    }
+
+    #[test]
+    fn names_that_meet_are_kept_apart() {
+        let dir = tempfile::tempdir().unwrap();
+        let set = formats::tests::random_set(dir.path(), 1, BoxConvention::Continuous);
+        let names: Vec<String> = resplit(&set, [1, 0, 0], 1).records().map(|(_, r)| r.image.clone()).collect();
+        assert_eq!(names.len(), 9);
+        assert!(names.contains(&"train/val-00000.png".into()) && names.contains(&"train/00000.png".into()), "{names:?}");
+    }
+}

@@ -1,1 +1,42 @@
 //! Trains a detector: batches, augmentation, steps, checkpoints, curves.
+//!
+//! ```no_run
+//! use std::sync::atomic::AtomicBool;
+//! use tcross_dataset::Dataset;
+//! use tcross_train::{Config, Progress, RunOptions, fit};
+//! let stop = AtomicBool::new(false); // set it to true to stop and save
+//! let options = RunOptions::new("runs/mine", 7, &stop);
+//! let config = Config { max_minutes: Some(10.0), ..Config::default() };
+//! let summary = fit(&config, &Default::default(), &Dataset::open("data")?, &options, &mut |news| {
+//!     if let Progress::Epoch { row, .. } = news {
+//!         eprintln!("epoch {:.1}: loss {:.2}", row.epoch, row.loss.total());
+//!     }
+//! })?;
+//! println!("best after step {:?}", summary.best);
+//! # Ok::<(), tcross_train::TrainError>(())
+//! ```
+//!
+//! The same config, seed, data and number of threads give the same weights, bit by bit, whether a run is stopped and resumed or not;
+//! only where a length is given in minutes does the clock decide when the rate falls.
+pub mod augment;
+pub mod config;
+pub mod data;
+pub mod device;
+pub mod ema;
+pub mod error;
+pub mod fit;
+pub mod memory;
+pub mod optimizer;
+pub mod progress;
+pub mod run;
+pub mod schedule;
+pub mod step;
+#[cfg(test)]
+mod toy;
+pub mod validation;
+
+pub use config::Config;
+pub use device::Accelerator;
+pub use error::TrainError;
+pub use fit::{End, RunOptions, RunSummary, fit};
+pub use progress::{Progress, StepReport};

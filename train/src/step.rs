@@ -1,0 +1,157 @@
+//! One step: images to logits, logits to a loss and its gradient, gradient to parameters.
+use crate::{
+    config::{self, ClipBy, Config, Freeze},
+    data::Batch,
+    device::Accelerator,
+    error::TrainError,
+    optimizer::{Rule, Slot, clip_gains, squared_norm},
+};
+use burn::{
+    module::{Module, ModuleMapper, ModuleVisitor, Param},
+    tensor::{Device, Gradients, Tensor, TensorData},
+};
+use tcross_yolo::{Loss, LossTerms, ModelConfig, Statistics, Weights, Yolo, network::read_logits};
+
+/// A network with its optimiser.
+pub struct Trainer {
+    network: Option<Yolo>,
+    model: ModelConfig,
+    device: Device,
+    loss: Loss,
+    optimizer: config::Optimizer,
+    clip: f64,
+    clip_by: ClipBy,
+    /// One a float of the network, in the order in which it is walked; those that do not learn stay empty.
+    slots: Vec<Slot>,
+}
+
+/// What a step has found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StepOutput {
+    /// The parts of the loss, divided by the batch.
+    pub terms: LossTerms,
+    /// Norm of all gradients before clipping.
+    pub gradient_norm: f64,
+}
+
+impl Trainer {
+    /// A network of this description that starts from these weights.
+    ///
+    /// # Errors
+    /// If the weights do not fit the description.
+    pub fn new(config: &Config, model: &ModelConfig, weights: &Weights, accelerator: &Accelerator) -> Result<Self, TrainError> {
+        let mut trainer = Self {
+            network: None,
+            model: model.clone(),
+            device: accelerator.device().autodiff(),
+            loss: Loss { kind: config.loss, ignore_iou: config.ignore_iou as f32 },
+            optimizer: config.optimizer.clone(),
+            clip: config.clip,
+            clip_by: config.clip_by,
+            slots: Vec::new(),
+        };
+        let network = Yolo::new(model, weights, &trainer.device)?.with_momentum(1.0 - config.batch_norm_decay);
+        let backbone = network.graph().backbone();
+        trainer.network = Some(match config.freeze {
+            Freeze::None => network,
+            Freeze::Backbone => network.frozen(backbone),
+            Freeze::BackboneRunning => network.frozen(backbone).with_statistics(backbone, Statistics::Running),
+        });
+        Ok(trainer)
+    }
+
+    /// Learns from a batch at this rate. `step` counts from 0.
+    ///
+    /// # Errors
+    /// If a truth is out of range.
+    pub fn step(&mut self, batch: Batch, rate: f64, step: u64) -> Result<StepOutput, TrainError> {
+        let network = self.network.take().expect("every step puts the network back");
+        let shape = [batch.truths.len(), 3, batch.net.height, batch.net.width];
+        let images = Tensor::from_data(TensorData::new(batch.images, shape), &self.device);
+        let heads = network.forward(images);
+        let logits: Vec<Vec<f32>> = heads.iter().map(read_logits).collect();
+        let output = match self.loss.evaluate(&self.model.geometry(batch.net), &logits, &batch.truths) {
+            Ok(output) => output,
+            Err(error) => {
+                self.network = Some(network);
+                return Err(error.into());
+            }
+        };
+        let surrogate = heads.into_iter().zip(output.gradients).map(|(head, gradient)| {
+            let shape = head.dims();
+            (head * Tensor::from_data(TensorData::new(gradient, shape), &self.device)).sum()
+        });
+        let surrogate = surrogate.reduce(|a, b| a + b).expect("a network has a head");
+        let mut collected = Collect { gradients: surrogate.backward(), values: Vec::new() };
+        network.visit(&mut collected);
+        let squared: Vec<f64> = collected.values.iter().map(|g| g.as_ref().map_or(0.0, |g| squared_norm(floats(g)))).collect();
+        let (gradient_norm, gains) = clip_gains(&squared, self.clip, self.clip_by);
+        if gradient_norm.is_finite() {
+            self.slots.resize(collected.values.len(), Slot::default());
+            let rule = Rule::new(&self.optimizer, rate, step);
+            let mut update = Update { rule, gradients: &collected.values, gains: &gains, slots: &mut self.slots, at: 0 };
+            self.network = Some(network.map(&mut update));
+        } else {
+            self.network = Some(network);
+        }
+        Ok(StepOutput { terms: output.terms, gradient_norm })
+    }
+
+    /// Reads the parameters back.
+    #[must_use]
+    pub fn weights(&self) -> Weights {
+        self.network.as_ref().map(Yolo::weights).unwrap_or_default()
+    }
+
+    /// What the optimiser remembers, one a float of the network in the order in which it is walked.
+    #[must_use]
+    pub fn slots(&self) -> &[Slot] {
+        &self.slots
+    }
+
+    /// Puts back what the optimiser remembered.
+    pub fn set_slots(&mut self, slots: Vec<Slot>) {
+        self.slots = slots;
+    }
+}
+
+fn floats(data: &TensorData) -> &[f32] {
+    data.as_slice::<f32>().expect("parameters and gradients are f32")
+}
+
+/// Takes each parameter's gradient, in the order in which the network is walked; none for what does not learn.
+struct Collect {
+    gradients: Gradients,
+    values: Vec<Option<TensorData>>,
+}
+
+impl ModuleVisitor for Collect {
+    fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+        let tensor = param.val();
+        self.values.push(tensor.grad_remove(&mut self.gradients).map(Tensor::into_data));
+    }
+}
+
+/// Moves each parameter.
+struct Update<'a> {
+    rule: Rule,
+    gradients: &'a [Option<TensorData>],
+    gains: &'a [f32],
+    slots: &'a mut [Slot],
+    at: usize,
+}
+
+impl ModuleMapper for Update<'_> {
+    fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+        let at = self.at;
+        self.at += 1;
+        let Some(gradient) = &self.gradients[at] else { return param };
+        let (id, tensor, mapper) = param.consume();
+        let device = tensor.device();
+        let mut data = tensor.inner().into_data();
+        let values = data.as_mut_slice::<f32>().expect("parameters are f32");
+        // Kernels have four dimensions; biases and batch norm's numbers have one and no decay.
+        self.rule.update(values, floats(gradient), self.gains[at], D == 4, &mut self.slots[at]);
+        Param::from_mapped_value(id, Tensor::from_data(data, &device).require_grad(), mapper)
+    }
+}

@@ -1,0 +1,180 @@
+//! Batches, made by threads of their own while the steps compute.
+use super::{order::Order, samples::Samples};
+use crate::{
+    augment::{Labels, Plan},
+    config::Augment,
+};
+use std::{
+    collections::VecDeque,
+    sync::{
+        Arc,
+        mpsc::{Receiver, Sender, channel},
+    },
+    thread::JoinHandle,
+};
+use tcross_dataset::Rng;
+use tcross_yolo::{NetSize, Truth};
+
+/// What a step learns from.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Batch {
+    /// The step it is for, 0-based.
+    pub step: u64,
+    /// Size of the images.
+    pub net: NetSize,
+    /// `[batch, 3, height, width]`, 0..1.
+    pub images: Vec<f32>,
+    /// One list an image.
+    pub truths: Vec<Vec<Truth>>,
+}
+
+/// Asks for the batch of a step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Request {
+    /// 0-based.
+    pub step: u64,
+    /// Share of the training that lies before it, 0..=1.
+    pub fraction: f64,
+    /// Size of the images.
+    pub net: NetSize,
+}
+
+/// Makes batches: each a function of (seed, request) alone.
+#[derive(Clone)]
+pub struct BatchMaker {
+    /// Where images come from.
+    pub samples: Arc<Samples>,
+    /// Which image comes when.
+    pub order: Order,
+    /// What is done to them.
+    pub augment: Augment,
+    /// Images in a batch.
+    pub batch: usize,
+    /// Of the training.
+    pub seed: u64,
+}
+
+impl BatchMaker {
+    /// Makes one batch.
+    pub fn make(&mut self, request: Request) -> Batch {
+        let Request { step, fraction, net } = request;
+        let length = 3 * net.width * net.height;
+        let mut images = vec![0.0; self.batch * length];
+        let truths = images.chunks_exact_mut(length).enumerate().map(|(k, out)| {
+            let position = step * self.batch as u64 + k as u64;
+            let mut rng = Rng::for_item(self.seed, "train/augment", position);
+            let set: &dyn Labels = &*self.samples;
+            let plan = Plan::sample(&self.augment, set, self.order.at(position), net, fraction, &mut rng);
+            plan.render(set, &mut |index| self.samples.read(index), out)
+        });
+        let truths = truths.collect();
+        Batch { step, net, images, truths }
+    }
+}
+
+/// Threads that make batches ahead of the steps. Requests are answered in order.
+pub struct Loader {
+    workers: Vec<Worker>,
+    /// Which worker has which pending request, oldest first.
+    pending: VecDeque<usize>,
+    next: usize,
+}
+
+struct Worker {
+    requests: Option<Sender<Request>>,
+    batches: Receiver<Batch>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Loader {
+    /// Starts `workers` threads.
+    #[must_use]
+    pub fn start(maker: &BatchMaker, workers: usize) -> Self {
+        let worker = |_| {
+            let mut maker = maker.clone();
+            let (requests, asked) = channel::<Request>();
+            let (made, batches) = channel();
+            let thread = std::thread::spawn(move || {
+                while let Ok(request) = asked.recv() {
+                    if made.send(maker.make(request)).is_err() {
+                        break;
+                    }
+                }
+            });
+            Worker { requests: Some(requests), batches, thread: Some(thread) }
+        };
+        Self { workers: (0..workers.max(1)).map(worker).collect(), pending: VecDeque::new(), next: 0 }
+    }
+
+    /// How many batches to ask for ahead: one in work and one ready for each thread.
+    #[must_use]
+    pub fn ahead(&self) -> usize {
+        self.workers.len() + 1
+    }
+
+    /// Requests not yet answered.
+    #[must_use]
+    pub fn pending(&self) -> usize {
+        self.pending.len()
+    }
+
+    /// Asks for a batch.
+    pub fn request(&mut self, request: Request) {
+        let worker = self.next % self.workers.len();
+        self.next += 1;
+        if let Some(requests) = &self.workers[worker].requests
+            && requests.send(request).is_ok()
+        {
+            self.pending.push_back(worker);
+        }
+    }
+
+    /// Waits for the oldest request; none if nothing was asked for, or a worker has died.
+    pub fn receive(&mut self) -> Option<Batch> {
+        let worker = self.pending.pop_front()?;
+        self.workers[worker].batches.recv().ok()
+    }
+}
+
+impl Drop for Loader {
+    fn drop(&mut self) {
+        for worker in &mut self.workers {
+            worker.requests = None; // ends its loop
+            if let Some(thread) = worker.thread.take() {
+                let _ = thread.join(); // a panic there has been printed
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::toy;
+    use tcross_dataset::{Dataset, Split};
+
+    #[test]
+    fn batches_do_not_depend_on_who_makes_them() {
+        let dir = tempfile::tempdir().unwrap();
+        toy::write(dir.path(), 10, 2, 32).unwrap();
+        let samples = Samples::open(&Dataset::open(dir.path()).unwrap(), Split::Train, NetSize::square(32), &[], 1 << 20).unwrap();
+        let marked = vec![true; 10];
+        let mut maker = BatchMaker {
+            samples: Arc::new(samples),
+            order: Order::new(3, &marked, None),
+            augment: Augment { mosaic: 0.5, mixup: 0.5, ..Augment::default() },
+            batch: 4,
+            seed: 3,
+        };
+        let request = |step| Request { step, fraction: 0.0, net: NetSize::square(if step % 2 == 0 { 32 } else { 64 }) };
+        let alone: Vec<Batch> = (0..6).map(|step| maker.make(request(step))).collect();
+        let mut loader = Loader::start(&maker, 3);
+        (0..6).for_each(|step| loader.request(request(step)));
+        let together: Vec<Batch> = (0..6).map(|_| loader.receive().unwrap()).collect();
+        assert_eq!(alone, together);
+        assert!(loader.receive().is_none());
+        // A later step alone, as after a resume.
+        assert_eq!(Loader::start(&maker, 1).pending(), 0);
+        assert_eq!(maker.clone().make(request(4)), alone[4]);
+    }
+}

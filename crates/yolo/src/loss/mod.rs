@@ -161,8 +161,16 @@ impl ImageLogits<'_> {
         }
     }
 
+    /// Whether a predictor's box overlaps a truth by more than `ignore_iou`.
     fn overlaps(&self, at: Predictor, truths: &[Truth], ignore_iou: f32) -> bool {
-        if truths.is_empty() {
+        // Two intervals whose centres are d apart, the one t long, overlap by at most t / (t + 2 d), whatever the other's length. A box has
+        // its centre in its cell, so nearly all cells are too far away, and need no exponentials.
+        let reach = (1.0 - ignore_iou) / (2.0 * ignore_iou) + 1e-3;
+        let grid = &self.geometry.heads[at.head];
+        let (column, row) = ((at.cell % grid.columns) as f32, (at.cell / grid.columns) as f32);
+        let away = |centre: f32, cell: f32, cells: usize| (cell / cells as f32 - centre).max(centre - (cell + 1.0) / cells as f32);
+        let near = |b: &NormBox| away(b.x, column, grid.columns) <= reach * b.w && away(b.y, row, grid.rows) <= reach * b.h;
+        if !truths.iter().any(|truth| near(&truth.bounds)) {
             return false;
         }
         let bounds: NormBox = self.geometry.decode_box(at, self.geometry.box_logits(at, self.heads[at.head].0));
@@ -247,6 +255,30 @@ pub(crate) mod tests {
                 assert!((0.0..=1.0).contains(&p) && bce.is_finite() && bce >= 0.0);
             }
         }
+    }
+
+    /// The naive twin of what is ignored: every predictor's box against every truth.
+    #[test]
+    fn exactly_the_overlapping_are_ignored() {
+        let geometry = geometry();
+        let mut rng = Rng::for_item(8, "test/ignored", 0);
+        let mut ignored = 0;
+        for ignore_iou in [0.1, 0.3, 0.5, 0.7] {
+            let logits: Vec<Vec<f32>> = (0..2).map(|head| (0..geometry.head_len(head)).map(|_| rng.normal() as f32).collect()).collect();
+            let mut side = || rng.uniform(4.0, 60.0);
+            let boxes: Vec<PixelBox> = (0..4).map(|_| PixelBox::from_center(side(), side(), side(), side())).collect();
+            let truths: Vec<Truth> = boxes.iter().map(|b| Truth::from_net_box(b, 0, geometry.net)).collect();
+            let positives = targets::assign(&geometry, 0, &truths).unwrap();
+            let got = Loss { kind: LossKind::Darknet, ignore_iou }.evaluate(&geometry, &logits, std::slice::from_ref(&truths)).unwrap();
+            for at in (0..2).flat_map(|head| geometry.predictors(head)) {
+                let b = geometry.decode_box(at, geometry.box_logits(at, &logits[at.head]));
+                let naive = truths.iter().any(|t| b.iou(&t.bounds) > ignore_iou) && positives.iter().all(|p| p.at != at);
+                let gradient = got.gradients[at.head][geometry.index(at, BoxFields::OBJECTNESS)];
+                assert_eq!(gradient == 0.0, naive, "{at:?} {ignore_iou}");
+                ignored += usize::from(naive);
+            }
+        }
+        assert!(ignored > 20, "{ignored}");
     }
 
     #[test]

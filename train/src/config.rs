@@ -65,6 +65,8 @@ pub struct Config {
     pub save_minutes: f64,
     /// Batches whose pictures are drawn with their boxes at the start.
     pub drawn_batches: usize,
+    /// Whether the processor runs its hand-written kernels; false takes burn's own operations, for comparison.
+    pub fused: bool,
 }
 
 /// Which part of the network stands still.
@@ -288,6 +290,7 @@ impl Default for Config {
             workers: 1,
             save_minutes: 10.0,
             drawn_batches: 2,
+            fused: true,
         }
     }
 }

@@ -10,6 +10,7 @@ use burn::{
     module::{Module, ModuleMapper, ModuleVisitor, Param},
     tensor::{Device, Gradients, Tensor, TensorData},
 };
+use tcross_kernels::ops::Path;
 use tcross_yolo::{Loss, LossTerms, ModelConfig, Statistics, Weights, Yolo, network::read_logits};
 
 /// A network with its optimiser.
@@ -51,6 +52,7 @@ impl Trainer {
             slots: Vec::new(),
         };
         let network = Yolo::new(model, weights, &trainer.device)?.with_momentum(1.0 - config.batch_norm_decay);
+        let network = if config.fused { network } else { network.with_path(Path::Composite) };
         let backbone = network.graph().backbone();
         trainer.network = Some(match config.freeze {
             Freeze::None => network,

@@ -2,6 +2,26 @@
 use crate::buffer::buffer;
 use rayon::prelude::*;
 
+/// `[batch, channels, pixels]` to `[batch, pixels, channels]`.
+#[must_use]
+pub fn interleave(planes: &[f32], batch: usize, pixels: usize, channels: usize) -> Vec<f32> {
+    assert_eq!(planes.len(), batch * pixels * channels);
+    let mut out = buffer(planes.len());
+    // A stretch of pixels whose planes and result stay in the first-level cache.
+    let stretch = (2048 / channels).clamp(16, pixels.max(16));
+    out.par_chunks_mut(pixels * channels).zip(planes.par_chunks(pixels * channels)).for_each(|(out, planes)| {
+        out.par_chunks_mut(stretch * channels).with_min_len(8).enumerate().for_each(|(k, out)| {
+            let count = out.len() / channels;
+            for (c, plane) in planes.chunks_exact(pixels).enumerate() {
+                for (to, from) in out[c..].iter_mut().step_by(channels).zip(&plane[k * stretch..][..count]) {
+                    *to = *from;
+                }
+            }
+        });
+    });
+    out
+}
+
 /// Each pixel repeated 2 x 2.
 #[must_use]
 pub fn upsample(x: &[f32], size: [usize; 4]) -> Vec<f32> {

@@ -107,6 +107,19 @@ pub(super) fn tensor(values: Vec<f32>, shape: impl Into<Shape>) -> FlexTensor {
     FlexTensor::new(Bytes::from_elems(values), Layout::contiguous(shape.into()), DType::F32)
 }
 
+/// The tensor with its values in order. The view of planes as channels, in which images and the heads' gradients arrive, is copied by all
+/// threads; burn's own copy takes one.
+pub(super) fn contiguous(x: &FlexTensor) -> FlexTensor {
+    let [batch, height, width, channels] = x.shape().dims();
+    let (plane, layout) = (height * width, x.layout());
+    let view = [channels * plane, width, 1, plane].map(|s| s as isize);
+    let whole = layout.start_offset() == 0 && x.storage::<f32>().len() == batch * plane * channels;
+    if channels > 1 && plane > 1 && whole && layout.strides() == view {
+        return tensor(crate::resample::interleave(x.storage(), batch, plane, channels), [batch, height, width, channels]);
+    }
+    x.to_contiguous()
+}
+
 /// The values of a tensor that was made contiguous.
 pub(super) fn values(tensor: &FlexTensor) -> &[f32] {
     tensor.as_slice().expect("a contiguous f32 tensor")
@@ -223,7 +236,7 @@ impl FusedConvolutions for Flex {
         variance: FlexTensor,
         settings: NormSettings,
     ) -> (FlexTensor, FlexTensor, FlexTensor) {
-        let (isa, x) = (Isa::detect(), x.to_contiguous());
+        let (isa, x) = (Isa::detect(), contiguous(&x));
         let parameters = Parameters::new(&weight, &gamma, &beta, &mean, &variance);
         let shape = shape_of(&x, &weight, settings.stride);
         if !settings.batch_statistics {
@@ -247,7 +260,7 @@ impl FusedConvolutions for Flex {
         variance_2: FlexTensor,
         settings: NormSettings,
     ) -> (FlexTensor, FlexTensor, FlexTensor, FlexTensor, FlexTensor) {
-        let (isa, x) = (Isa::detect(), x.to_contiguous());
+        let (isa, x) = (Isa::detect(), contiguous(&x));
         let first = Parameters::new(&weight_1, &gamma_1, &beta_1, &mean_1, &variance_1);
         let second = Parameters::new(&weight_2, &gamma_2, &beta_2, &mean_2, &variance_2);
         let shape = shape_of(&x, &weight_1, 1);
@@ -263,7 +276,7 @@ impl FusedConvolutions for Flex {
     }
 
     fn fused_conv_bias(x: FlexTensor, weight: FlexTensor, bias: FlexTensor) -> FlexTensor {
-        let (isa, x, weight, bias) = (Isa::detect(), x.to_contiguous(), weight.to_contiguous(), bias.to_contiguous());
+        let (isa, x, weight, bias) = (Isa::detect(), contiguous(&x), weight.to_contiguous(), bias.to_contiguous());
         let shape = shape_of(&x, &weight, 1);
         let mut y = buffer(shape.output_len());
         let packed = pack::forward(isa, &shape, values(&weight));
@@ -299,7 +312,7 @@ impl Backward<Flex, 4> for ConvNormBackward {
 
     fn backward(self, ops: Ops<Self::State, 4>, grads: &mut Gradients, _: &mut Checkpointer) {
         let isa = Isa::detect();
-        let gradient = grads.consume::<Flex>(&ops.node).to_contiguous();
+        let gradient = contiguous(&grads.consume::<Flex>(&ops.node));
         let [x_node, weight_node, gamma_node, beta_node] = ops.parents.map(|p| p.map(|node| node.id));
         let (x, mut saved, settings) = ops.state;
         let ConvGradients { dz, gamma, beta } = saved.backward(isa, values(&gradient), settings);
@@ -323,7 +336,7 @@ impl Backward<Flex, 7> for ResidualBackward {
 
     fn backward(self, ops: Ops<Self::State, 7>, grads: &mut Gradients, _: &mut Checkpointer) {
         let isa = Isa::detect();
-        let mut gradient = grads.consume::<Flex>(&ops.node).to_contiguous();
+        let mut gradient = contiguous(&grads.consume::<Flex>(&ops.node));
         let [x_node, weight_1, gamma_1, beta_1, weight_2, gamma_2, beta_2] = ops.parents.map(|p| p.map(|node| node.id));
         let (x, [mut inner, mut outer], settings) = ops.state;
 
@@ -359,7 +372,7 @@ impl Backward<Flex, 3> for ConvBiasBackward {
 
     fn backward(self, ops: Ops<Self::State, 3>, grads: &mut Gradients, _: &mut Checkpointer) {
         let isa = Isa::detect();
-        let gradient = grads.consume::<Flex>(&ops.node).to_contiguous();
+        let gradient = contiguous(&grads.consume::<Flex>(&ops.node));
         let [x_node, weight_node, bias_node] = ops.parents.map(|p| p.map(|node| node.id));
         let (x, weight) = ops.state;
         let shape = shape_of(&x, &weight, 1);
@@ -395,7 +408,7 @@ impl<C: CheckpointStrategy> FusedConvolutions for Autodiff<Flex, C> {
         let isa = Isa::detect();
         match ConvNormBackward.prepare::<C>(nodes).compute_bound().stateful() {
             OpsKind::Tracked(prep) => {
-                let x = x.primitive().to_contiguous();
+                let x = contiguous(x.primitive());
                 let shape = shape_of(&x, &parameters.weight, settings.stride);
                 let (saved, [mean, variance]) = parameters.convolve(isa, shape, values(&x), None, settings);
                 let y = tensor(saved.activate(isa, settings.slope, None), out_shape(&shape));
@@ -427,7 +440,7 @@ impl<C: CheckpointStrategy> FusedConvolutions for Autodiff<Flex, C> {
         let isa = Isa::detect();
         match ResidualBackward.prepare::<C>(nodes).compute_bound().stateful() {
             OpsKind::Tracked(prep) => {
-                let x = x.primitive().to_contiguous();
+                let x = contiguous(x.primitive());
                 let first = Parameters::new(
                     weight_1.primitive(),
                     gamma_1.primitive(),
@@ -471,7 +484,7 @@ impl<C: CheckpointStrategy> FusedConvolutions for Autodiff<Flex, C> {
     fn fused_conv_bias(x: FloatTensor<Self>, weight: FloatTensor<Self>, bias: FloatTensor<Self>) -> FloatTensor<Self> {
         match ConvBiasBackward.prepare::<C>([x.node(), weight.node(), bias.node()]).compute_bound().stateful() {
             OpsKind::Tracked(prep) => {
-                let (x, weight) = (x.primitive().to_contiguous(), weight.primitive().to_contiguous());
+                let (x, weight) = (contiguous(x.primitive()), weight.primitive().to_contiguous());
                 let y = Flex::fused_conv_bias(x.clone(), weight.clone(), bias.into_primitive());
                 prep.finish((x, weight), y)
             }

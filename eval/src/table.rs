@@ -93,7 +93,7 @@ impl Table {
 
     /// True for a column of words, which stands left; numbers stand right.
     fn is_text(&self, column: usize) -> bool {
-        self.rows.iter().any(|r| matches!(r.get(column), Some(Cell::Text(_))))
+        self.rows.iter().any(|r| matches!(r.get(column), Some(Cell::Text(t)) if !t.is_empty()))
     }
 
     /// Markdown, with columns aligned for reading as plain text.

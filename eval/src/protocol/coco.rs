@@ -101,6 +101,9 @@ pub fn match_cell(truths: &[CocoTruth], claims: &[CocoClaim]) -> CocoCell {
     let outside = |area: f64, [lo, hi]: [f64; 2]| area < lo || area > hi;
     let overlaps: Vec<f64> = order.iter().flat_map(|&k| truths.iter().map(move |t| overlap(&claims[k].bbox, t))).collect();
     let thresholds = iou_thresholds();
+    // A claim that no truth overlaps enough for the lowest threshold matches nothing, whatever the others do.
+    let row = |d: usize| &overlaps[d * truths.len()..(d + 1) * truths.len()];
+    let near: Vec<bool> = (0..order.len()).map(|d| row(d).iter().any(|iou| *iou >= thresholds[0])).collect();
     let mut free = vec![true; truths.len()];
     for (a, range) in AREAS.into_iter().enumerate() {
         let ignored = |t: &CocoTruth| t.crowd || outside(t.area, range);
@@ -113,9 +116,9 @@ pub fn match_cell(truths: &[CocoTruth], claims: &[CocoClaim]) -> CocoCell {
             let bit = 1u64 << (a * IOUS + t);
             free.fill(true);
             for (d, &k) in order.iter().enumerate() {
-                let row = &overlaps[d * truths.len()..(d + 1) * truths.len()];
                 let slot = &mut cell.claims[d];
-                match best_truth(row, &sorted, counting, truths, &free, threshold) {
+                let best = if near[d] { best_truth(row(d), &sorted, counting, truths, &free, threshold) } else { None };
+                match best {
                     Some((position, g)) => {
                         free[g] = false;
                         slot.1 |= bit;
@@ -209,46 +212,71 @@ fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
 }
 
 fn accumulate(cells: &[CocoCell]) -> Curve {
+    let mut all: Vec<(f64, u64, u64)> = cells.iter().flat_map(|c| c.claims.iter().copied()).collect();
+    all.par_sort_by(|a, b| (b.0 + 0.0).total_cmp(&(a.0 + 0.0)));
+    let mut precision = precision_at_hits(&all);
+    let recalled = hits_among_first(cells);
     let mut curve = Curve {
         precision_sum: [[0.0; IOUS]; AREAS.len()],
         recall: [[[0.0; IOUS]; AREAS.len()]; MAX_DETECTIONS.len()],
         counts: [false; AREAS.len()],
     };
-    let mut all: Vec<(f64, u64, u64)> = cells.iter().flat_map(|c| c.claims.iter().copied()).collect();
-    all.par_sort_by(|a, b| (b.0 + 0.0).total_cmp(&(a.0 + 0.0)));
     for a in 0..AREAS.len() {
         let truths: u64 = cells.iter().map(|c| u64::from(c.truths[a])).sum();
-        if truths == 0 {
-            continue;
-        }
-        curve.counts[a] = true;
-        for t in 0..IOUS {
-            let bit = 1u64 << (a * IOUS + t);
-            curve.precision_sum[a][t] = precision_sum(&all, bit, truths as f64);
-            for (m, most) in MAX_DETECTIONS.into_iter().enumerate() {
-                let first = cells.iter().flat_map(|c| c.claims.iter().take(most));
-                let hits = first.filter(|c| c.1 & bit != 0 && c.2 & bit == 0).count();
-                curve.recall[m][a][t] = hits as f64 / truths as f64;
+        curve.counts[a] = truths > 0;
+        for t in 0..if truths > 0 { IOUS } else { 0 } {
+            curve.precision_sum[a][t] = sum_over_recall(&mut precision[a * IOUS + t], truths as f64);
+            for (m, hits) in recalled.iter().enumerate() {
+                curve.recall[m][a][t] = hits[a * IOUS + t] as f64 / truths as f64;
             }
         }
     }
     curve
 }
 
-/// Sum over 101 points of recall of the precision, made monotone from the right. Between hits precision only falls, so its
-/// values at the hits are enough.
-fn precision_sum(claims: &[(f64, u64, u64)], bit: u64, truths: f64) -> f64 {
-    let (mut hits, mut misses) = (0u64, 0u64);
-    let mut precision = Vec::new();
-    for (_, matched, ignored) in claims.iter().filter(|c| c.2 & bit == 0) {
-        debug_assert_eq!(ignored & bit, 0);
-        if matched & bit != 0 {
-            hits += 1;
-            precision.push(hits as f64 / ((misses + hits) as f64 + f64::EPSILON));
-        } else {
-            misses += 1;
+/// For every area and threshold the precision at each hit, by falling score. One pass: most claims match nothing, and such a
+/// claim is a miss at all thresholds of an area, or ignored at all of them.
+fn precision_at_hits(claims: &[(f64, u64, u64)]) -> Vec<Vec<f64>> {
+    let mut out: Vec<Vec<f64>> = vec![Vec::new(); AREAS.len() * IOUS];
+    let mut misses = [0u64; AREAS.len() * IOUS];
+    let mut misses_everywhere = [0u64; AREAS.len()];
+    for (_, matched, ignored) in claims {
+        for (a, everywhere) in misses_everywhere.iter_mut().enumerate() {
+            let of_area = |mask: u64| mask >> (a * IOUS) & ((1 << IOUS) - 1);
+            if of_area(*matched) == 0 {
+                *everywhere += u64::from(of_area(*ignored) == 0);
+                continue;
+            }
+            for k in (a * IOUS..(a + 1) * IOUS).filter(|k| ignored >> k & 1 == 0) {
+                if matched >> k & 1 == 0 {
+                    misses[k] += 1;
+                } else {
+                    let hits = out[k].len() as u64 + 1;
+                    out[k].push(hits as f64 / ((misses[k] + *everywhere + hits) as f64 + f64::EPSILON));
+                }
+            }
         }
     }
+    out
+}
+
+/// For every maximum of detections, area and threshold: hits among the first so many of each cell.
+fn hits_among_first(cells: &[CocoCell]) -> [[u64; AREAS.len() * IOUS]; MAX_DETECTIONS.len()] {
+    let mut hits = [[0; AREAS.len() * IOUS]; MAX_DETECTIONS.len()];
+    for (rank, (_, matched, ignored)) in cells.iter().flat_map(|c| c.claims.iter().enumerate()) {
+        let counted = matched & !ignored;
+        for k in (0..AREAS.len() * IOUS).filter(|k| counted != 0 && counted >> k & 1 == 1) {
+            for (m, most) in MAX_DETECTIONS.into_iter().enumerate() {
+                hits[m][k] += u64::from(rank < most);
+            }
+        }
+    }
+    hits
+}
+
+/// Sum over 101 points of recall of the precision, made monotone from the right. Between hits precision only falls, so its
+/// values at the hits are enough.
+fn sum_over_recall(precision: &mut [f64], truths: f64) -> f64 {
     for k in (1..precision.len()).rev() {
         precision[k - 1] = precision[k - 1].max(precision[k]);
     }

@@ -5,7 +5,10 @@ use crate::{
     curves::{self, Curve},
     figures::{Axis, Canvas, Color, DotPlot, LinePlot, Series},
     paper_tables,
-    protocol::pose::{PoseError, PoseOutcomes},
+    protocol::{
+        paper::Drawn,
+        pose::{PoseError, PoseOutcomes},
+    },
     slices::Slice,
 };
 
@@ -83,7 +86,8 @@ pub fn precision_recall(runs: &[Run]) -> Figure {
 pub fn over_threshold(run: &Run) -> Figure {
     let mut plot = LinePlot::new("", Axis::linear("score threshold").from_to(0.0, 1.0), Axis::linear("value").from_to(0.0, 1.0));
     let scores = &run.evaluation.scores;
-    let quantities: [(&str, fn(crate::protocol::paper::Drawn) -> f64); 4] = [
+    type Quantity = fn(Drawn) -> f64;
+    let quantities: [(&str, Quantity); 4] = [
         ("precision", |d| d.tp / (d.tp + d.fp)),
         ("recall", |d| d.tp / d.markers),
         ("F1", |d| 2.0 * d.tp / (d.tp + d.fp + d.markers)),

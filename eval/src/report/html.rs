@@ -3,7 +3,7 @@ use super::{Built, Gallery, gallery::base64};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 /// Tables that stand in the first part; the others are folded away further down.
-const FIRST: [&str; 3] = ["headline", "compare-1", "pose"];
+const FIRST: [&str; 5] = ["headline", "compare-1", "pose", "pose-shares", "summary"];
 
 impl Built {
     /// The page.
@@ -24,7 +24,7 @@ impl Built {
                         h1 { (self.title) }
                         @for verdict in &self.verdicts { p class="verdict" { (verdict) } }
                     }
-                    @for table in &first { (PreEscaped(table.table.html())) }
+                    div class="first" { @for table in &first { (PreEscaped(table.table.html())) } }
                     @if !self.problems.is_empty() {
                         aside {
                             h2 { "Faults in the files, counted and not hidden" }

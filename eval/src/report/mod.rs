@@ -197,6 +197,7 @@ fn build_run(run: &Run) -> Part {
     let slices = slices::slices(truth, evaluation);
     if evaluation.config.wants(crate::Protocol::Paper) {
         part.tables.push(NamedTable::new("thresholds", tables::thresholds(evaluation)));
+        part.tables.push(NamedTable::new("summary", tables::summary(run)));
         part.tables.push(NamedTable::new("size-at-least", tables::at_least(&slices::at_least(truth, evaluation))));
         part.figures.push(figures::over_threshold(run));
         part.figures.push(figures::reliability(&calibration(&evaluation.images)));
@@ -206,7 +207,8 @@ fn build_run(run: &Run) -> Part {
     if let Some(pose) = &evaluation.pose {
         let scores = pose.scores();
         part.tables.insert(0, NamedTable::new("pose", tables::pose(&scores)));
-        part.tables.insert(1, NamedTable::new("orientation", tables::orientation(&scores)));
+        part.tables.insert(1, NamedTable::new("pose-shares", tables::pose_shares(&scores)));
+        part.tables.insert(2, NamedTable::new("orientation", tables::orientation(&scores)));
         part.figures.insert(0, figures::pose_within(pose));
         part.figures.extend(slices.iter().filter_map(figures::pose_slice));
     }

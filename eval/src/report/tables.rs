@@ -1,8 +1,12 @@
 //! The tables of a report.
 use super::Run;
 use crate::{
+    calibration::calibration,
     compare::Comparison,
+    curves,
     evaluation::Evaluation,
+    failures::{Kind, failures},
+    metrics,
     paper_tables::{self, PaperRow},
     protocol::{
         coco::CocoScores,
@@ -197,24 +201,34 @@ pub fn slice(slice: &Slice) -> Table {
     table
 }
 
-/// Errors of poses.
-pub fn pose(p: &PoseScores) -> Table {
-    let mut table = Table::new(format!("Poses of {} markers.", p.markers), &["quantity", "value", "median", "95th percentile", "mean"]);
-    let mut share = |name: &str, v: Option<f64>| {
-        table.rows.push(vec![Cell::text(name), Cell::number(v, 4), Cell::Undefined, Cell::Undefined, Cell::Undefined]);
+/// What became of the poses.
+pub fn pose_shares(p: &PoseScores) -> Table {
+    let mut table = Table::new(format!("Poses of {} markers.", p.markers), &["share", "of", "fraction"]);
+    let mut share = |name: &str, of: &str, v: Option<f64>| {
+        table.rows.push(vec![Cell::text(name), Cell::text(of), Cell::number(v, 4)]);
     };
-    share("recovered (fraction of markers)", p.recovered);
-    share("refused (fraction of markers)", p.refused);
-    share("not detected (fraction of markers)", p.missed);
-    share("wrong by more than 45 degrees (fraction of poses)", p.wrong_orientation);
-    share("within 2 % centre, 2 degrees, 4 % corners (fraction of markers)", p.within_tight);
-    share("within 4 % centre, 5 degrees, 6 % corners (fraction of markers)", p.within_loose);
-    share("paper's authors' marks: 60 px, 30 degrees, IoU 0.3 (fraction of poses)", p.authors_marks);
-    share("true centre inside the stated 95 % ellipse (honest: 0.95)", p.ellipse_coverage);
-    share("false positives for which a pose was claimed", p.false_poses);
+    share("recovered", "markers", p.recovered);
+    share("refused", "markers", p.refused);
+    share("not detected", "markers", p.missed);
+    share("within 2 % centre, 2 degrees, 4 % corners", "markers", p.within_tight);
+    share("within 4 % centre, 5 degrees, 6 % corners", "markers", p.within_loose);
+    share("turned by more than 45 degrees", "poses", p.wrong_orientation);
+    share("true centre inside the stated 95 % ellipse (honest: 0.95)", "poses", p.ellipse_coverage);
+    share("the authors' marks: centre 60 px, 30 degrees, IoU 0.3", "poses", p.authors_marks);
+    share("a pose claimed where no marker is", "false positives", p.false_poses);
+    if !p.reasons.is_empty() {
+        let reasons: Vec<String> = p.reasons.iter().map(|(r, n)| format!("{r} ({n})")).collect();
+        table.notes.push(format!("Refused: {}.", reasons.join(", ")));
+    }
+    table
+}
+
+/// Errors of the recovered poses.
+pub fn pose(p: &PoseScores) -> Table {
+    let mut table = Table::new("Errors of the recovered poses.", &["quantity", "median", "95th percentile", "mean"]);
     let mut spread = |name: &str, s: Option<Spread>| {
         let numbers = [s.map(|s| s.median), s.map(|s| s.p95), s.map(|s| s.mean)];
-        table.rows.push([Cell::text(name), Cell::Undefined].into_iter().chain(numbers.map(|v| Cell::number(v, 3))).collect());
+        table.rows.push([Cell::text(name)].into_iter().chain(numbers.map(|v| Cell::number(v, 3))).collect());
     };
     spread("centre (% of side)", p.center_percent);
     spread("centre (px)", p.center_px);
@@ -222,13 +236,40 @@ pub fn pose(p: &PoseScores) -> Table {
     spread("corners (% of side)", p.corner_percent);
     spread("corners (px)", p.corner_px);
     spread("quadrilateral IoU", p.quad_iou);
-    let [a, b, c, d] = p.turned;
+    table.notes.push("Corners are compared by identity: a pose turned by a quarter is wrong by a side.".into());
     table
-        .notes
-        .push(format!("Orientation: {a} poses right, {b} turned by 90, {c} by 180, {d} by 270 degrees. Corners are compared by identity."));
-    if !p.reasons.is_empty() {
-        let reasons: Vec<String> = p.reasons.iter().map(|(r, n)| format!("{r} ({n})")).collect();
-        table.notes.push(format!("Refused: {}.", reasons.join(", ")));
+}
+
+/// What one number can say about a run beside the six metrics.
+pub fn summary(run: &Run) -> Table {
+    let evaluation = run.evaluation;
+    let mut table = Table::new("Other numbers.", &["what", "value", "95 %"]);
+    let mut row = |what: String, value: Cell, range: Cell| table.rows.push(vec![Cell::Text(what), value, range]);
+    if let Some((area, ci)) = curves::froc_area(&evaluation.images, &evaluation.scores) {
+        row("area under FROC up to 1 false positive an image".into(), Cell::Number(area, 4), Cell::range(ci, 4));
+    }
+    if let Some((rate, ci)) = metrics::false_positives_per_1000(evaluation) {
+        let images = evaluation.scores.empty_images;
+        row(format!("false positives per 1,000 photos without a marker ({images} such photos)"), Cell::Number(rate, 1), Cell::Range(ci, 1));
+    }
+    row("expected calibration error".into(), Cell::number(calibration(&evaluation.images).ece, 4), Cell::Undefined);
+    if let Some((threshold, _)) = run.validation.and_then(metrics::chosen_threshold) {
+        let chosen = evaluation.row_at(threshold);
+        row("threshold of highest F1 on validation".into(), Cell::Number(threshold, 2), Cell::Undefined);
+        row("F1 on this split at that threshold".into(), Cell::number(chosen.f1, 4), Cell::range(chosen.f1_ci, 4));
+        row("precision on this split at that threshold".into(), Cell::number(chosen.precision, 4), Cell::range(chosen.precision_ci, 4));
+        row("recall on this split at that threshold".into(), Cell::number(chosen.recall, 4), Cell::range(chosen.recall_ci, 4));
+    }
+    let all = failures(run.truth, evaluation, evaluation.config.threshold);
+    for kind in Kind::ALL {
+        let count = all.iter().filter(|f| f.kind == kind).count() as u64;
+        row(format!("errors: {}", kind.key()), Cell::Count(count), Cell::Undefined);
+    }
+    if let Some(ms) = evaluation.ms {
+        let stages = [("decoding", Some(ms.decode)), ("network", Some(ms.network)), ("poses", ms.pose)];
+        for (stage, value) in stages.into_iter().filter_map(|(s, v)| Some((s, v?))) {
+            row(format!("{stage}, mean (ms an image)"), Cell::Number(value, 2), Cell::Undefined);
+        }
     }
     table
 }

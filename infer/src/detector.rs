@@ -1,40 +1,16 @@
 //! From a picture to boxes: letterbox, network, decoding, suppression, the letterbox undone.
 use crate::{config::Config, error::InferError};
-use burn::tensor::{Device, Tensor, TensorData};
 use image::RgbImage;
 use std::path::Path;
 use tcross_dataset::Detection;
-use tcross_yolo::{DetectOptions, Geometry, Model, ModelConfig, Yolo, decode, input, network::read_logits};
-
-/// The seam between detection and whatever computes the network: one picture in, raw heads out.
-pub trait Network: Send {
-    /// Takes one input, three planes (R, G, B) of the network's size in 0..1, and fills each head's logits
-    /// `[anchors * fields, rows, columns]`, coarse first.
-    fn logits(&mut self, planes: &[f32], heads: &mut Vec<Vec<f32>>);
-}
-
-/// The network walked by burn.
-struct Walked {
-    network: Yolo,
-    shape: [usize; 4],
-    device: Device,
-}
-
-impl Network for Walked {
-    fn logits(&mut self, planes: &[f32], heads: &mut Vec<Vec<f32>>) {
-        let images = Tensor::<4>::from_data(TensorData::new(planes.to_vec(), self.shape), &self.device);
-        heads.clear();
-        heads.extend(self.network.forward(images).iter().map(read_logits));
-    }
-}
+use tcross_yolo::{DetectOptions, Geometry, InferenceNet, Model, ModelConfig, decode, input};
 
 /// A loaded model, ready to look at pictures.
 pub struct Detector {
     model: ModelConfig,
     geometry: Geometry,
-    network: Box<dyn Network>,
+    network: InferenceNet,
     planes: Vec<f32>,
-    heads: Vec<Vec<f32>>,
     /// Which claims are kept.
     pub options: DetectOptions,
 }
@@ -54,24 +30,14 @@ impl Detector {
     /// # Errors
     /// If the weights do not fit the description.
     pub fn from_model(model: &Model) -> Result<Self, InferError> {
-        let device = Device::flex();
-        let network = Yolo::new(&model.config, &model.weights, &device)?;
         let net = model.config.input;
-        Ok(Self::with_network(&model.config, Box::new(Walked { network, shape: [1, 3, net.height, net.width], device })))
-    }
-
-    /// A detector on another engine.
-    #[must_use]
-    pub fn with_network(model: &ModelConfig, network: Box<dyn Network>) -> Self {
-        let net = model.input;
-        Self {
-            geometry: model.geometry(net),
-            model: model.clone(),
-            network,
+        Ok(Self {
+            geometry: model.config.geometry(net),
+            network: InferenceNet::new(&model.config, &model.weights)?,
+            model: model.config.clone(),
             planes: vec![0.0; 3 * net.width * net.height],
-            heads: Vec::new(),
             options: DetectOptions::default(),
-        }
+        })
     }
 
     /// The same detector keeping what this configuration says.
@@ -94,8 +60,8 @@ impl Detector {
             return Vec::new();
         }
         let letterbox = input::prepare(image, self.model.input, &mut self.planes);
-        self.network.logits(&self.planes, &mut self.heads);
-        let heads: Vec<&[f32]> = self.heads.iter().map(Vec::as_slice).collect();
+        let heads = self.network.run(&self.planes, self.model.input);
+        let heads: Vec<&[f32]> = heads.iter().map(Vec::as_slice).collect();
         decode::detect(&self.geometry, &heads, &letterbox, self.model.boxes, &self.options)
     }
 }

@@ -19,7 +19,7 @@ pub mod source;
 
 pub use camera::Camera;
 pub use config::Config;
-pub use detector::{Detector, Network};
+pub use detector::Detector;
 pub use error::InferError;
 pub use run::{Boxes, Progress, RunOptions, RunReport, run};
 pub use source::{Source, read_image};

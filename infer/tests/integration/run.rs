@@ -59,10 +59,11 @@ fn poses_come_from_given_boxes_too() {
     let given = dir.path().join("boxes.jsonl");
     detections::write(&given, [&line(drawn.bounds)]).unwrap();
     let config = Config { pose: true, ..Config::default() };
+    let drawn_to = tempfile::tempdir().unwrap();
     let options = RunOptions {
         camera: Some("500,500,160,120".parse().unwrap()),
         cube: true,
-        overlay: Some(dir.path().join("o")),
+        overlay: Some(drawn_to.path().join("o")),
         ..RunOptions::default()
     };
     let mut boxes = Boxes::given(&given).unwrap();

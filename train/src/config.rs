@@ -28,6 +28,8 @@ pub struct Config {
     pub loss: LossKind,
     /// A predictor whose box overlaps a truth by more than this IoU is no negative, 0..1.
     pub ignore_iou: f64,
+    /// Besides the anchor of best shape, every one whose shape overlaps a truth's by more than this IoU learns it too, 0..=1; 1: the best only.
+    pub assign_iou: f64,
     /// Bias of each objectness logit at the start.
     pub objectness_bias: f64,
     /// Bias of each class logit at the start.
@@ -272,6 +274,7 @@ impl Default for Config {
             freeze: Freeze::None,
             loss: LossKind::Darknet,
             ignore_iou: 0.6,
+            assign_iou: 1.0,
             objectness_bias: -7.0,
             class_bias: 3.0,
             clip: 100.0,
@@ -364,6 +367,7 @@ impl Config {
             }
         }
         within("ignore_iou", self.ignore_iou, 0.0, 1.0)?;
+        within("assign_iou", self.assign_iou, 0.0, 1.0)?;
         within("objectness_bias", self.objectness_bias, -30.0, 30.0)?;
         within("class_bias", self.class_bias, -30.0, 30.0)?;
         within("clip", self.clip, 1e-6, 1e9)?;

@@ -45,7 +45,7 @@ impl Trainer {
             network: None,
             model: model.clone(),
             device: accelerator.device().autodiff(),
-            loss: Loss { kind: config.loss, ignore_iou: config.ignore_iou as f32 },
+            loss: Loss { kind: config.loss, ignore_iou: config.ignore_iou as f32, assign_iou: config.assign_iou as f32 },
             optimizer: config.optimizer.clone(),
             clip: config.clip,
             clip_by: config.clip_by,

@@ -23,7 +23,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let network = Yolo::new(&config, &weights, &device)?;
     let images = Tensor::<4>::ones([batch, 3, net.height, net.width], &device) * 0.5;
     let truths = vec![vec![Truth::from_net_box(&PixelBox::from([90.0, 80.0, 130.0, 125.0]), 0, net)]; batch];
-    let loss = Loss { kind: LossKind::Darknet, ignore_iou: 0.6 };
+    let loss = Loss::new(LossKind::Darknet, 0.6);
     let (mut forward, mut evaluate) = (Vec::new(), Vec::new());
     for _ in 0..9 {
         let start = Instant::now();

@@ -169,7 +169,7 @@ mod tests {
         let stored = PixelBox::from([60.0, 40.0, 99.0, 71.0]);
         let continuous = PixelBox { x_max: stored.x_max + 1.0, y_max: stored.y_max + 1.0, ..stored };
         let truth = [Truth::from_net_box(&letterbox.box_to_net(&continuous), 2, geometry.net)];
-        let positives = targets::assign(&geometry, 0, &truth).unwrap();
+        let positives = targets::assign(&geometry, 0, &truth, 1.0).unwrap();
         let mut logits: Vec<Vec<f32>> = (0..2).map(|head| vec![-20.0; geometry.head_len(head)]).collect();
         let inverse = |p: f32| (p / (1.0 - p)).ln();
         for p in &positives {

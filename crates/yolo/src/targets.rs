@@ -73,17 +73,17 @@ pub struct Positive<'a> {
 }
 
 /// Gives each truth of an image to the one anchor, over all heads, of best shape, in the cell that holds its centre. Truths that claim
-/// the same predictor overwrite each other's box, and add up their classes.
+/// the same predictor overwrite each other's box, and add up their classes. Then every other anchor whose shape overlaps a truth's by more
+/// than `assign_iou` learns it too, where nothing claimed it before (AlexeyAB's `iou_thresh`; 1 for none).
 ///
 /// # Errors
 /// If a truth is out of range; `image` is only named.
-pub fn assign<'a>(geometry: &Geometry, image: usize, truths: &'a [Truth]) -> Result<Vec<Positive<'a>>, YoloError> {
+pub fn assign<'a>(geometry: &Geometry, image: usize, truths: &'a [Truth], assign_iou: f32) -> Result<Vec<Positive<'a>>, YoloError> {
     let mut positives: Vec<Positive> = Vec::new();
     for (index, truth) in truths.iter().enumerate() {
         truth.check(&geometry.fields).map_err(|message| YoloError::Label { image, index, message })?;
-        let Some(at) = claim(geometry, &truth.bounds) else { continue };
-        let positive =
-            Positive { at, truth, classes: vec![truth.class], target: target(geometry, at, &truth.bounds), scale: scale(&truth.bounds) };
+        let Some(at) = predictor(geometry, best_anchor(geometry, &truth.bounds), &truth.bounds) else { continue };
+        let positive = positive(geometry, at, truth);
         match positives.iter_mut().find(|p| p.at == at) {
             None => positives.push(positive),
             Some(earlier) => {
@@ -95,31 +95,47 @@ pub fn assign<'a>(geometry: &Geometry, image: usize, truths: &'a [Truth]) -> Res
             }
         }
     }
+    for truth in truths.iter().filter(|_| assign_iou < 1.0) {
+        for anchor in (0..geometry.anchors.len()).filter(|&anchor| shape_iou(geometry, anchor, &truth.bounds) > assign_iou) {
+            let Some(at) = predictor(geometry, anchor, &truth.bounds) else { continue };
+            if positives.iter().all(|p| p.at != at) {
+                positives.push(positive(geometry, at, truth));
+            }
+        }
+    }
     Ok(positives)
 }
 
-/// The predictor for a box; none if its best anchor belongs to no head.
-fn claim(geometry: &Geometry, b: &NormBox) -> Option<Predictor> {
-    let best = best_anchor(geometry, b);
+fn positive<'a>(geometry: &Geometry, at: Predictor, truth: &'a Truth) -> Positive<'a> {
+    Positive { at, truth, classes: vec![truth.class], target: target(geometry, at, &truth.bounds), scale: scale(&truth.bounds) }
+}
+
+/// The predictor of an anchor in the cell that holds a box's centre; none if the anchor belongs to no head.
+fn predictor(geometry: &Geometry, wanted: usize, b: &NormBox) -> Option<Predictor> {
     let (head, anchor) =
-        geometry.heads.iter().enumerate().find_map(|(h, head)| head.mask.iter().position(|&m| m == best).map(|a| (h, a)))?;
+        geometry.heads.iter().enumerate().find_map(|(h, head)| head.mask.iter().position(|&m| m == wanted).map(|a| (h, a)))?;
     let grid = &geometry.heads[head];
     let cell = |at: f32, cells: usize| ((at * cells as f32) as usize).min(cells - 1);
     Some(Predictor { head, anchor, cell: cell(b.y, grid.rows) * grid.columns + cell(b.x, grid.columns) })
 }
 
-/// Index of the anchor whose shape overlaps the box's best, both centred at 0; the first of equals.
+/// Index of the anchor whose shape overlaps the box's best; the first of equals.
 fn best_anchor(geometry: &Geometry, b: &NormBox) -> usize {
-    let shape = |w: f32, h: f32| NormBox { x: 0.0, y: 0.0, w, h };
-    let (width, height) = (geometry.net.width as f32, geometry.net.height as f32);
     let mut best = (0, f32::NEG_INFINITY);
-    for (index, [w, h]) in geometry.anchors.iter().enumerate() {
-        let overlap = shape(w / width, h / height).iou(&shape(b.w, b.h));
+    for index in 0..geometry.anchors.len() {
+        let overlap = shape_iou(geometry, index, b);
         if overlap > best.1 {
             best = (index, overlap);
         }
     }
     best.0
+}
+
+/// IoU of an anchor and a box, both centred at 0.
+fn shape_iou(geometry: &Geometry, anchor: usize, b: &NormBox) -> f32 {
+    let shape = |w: f32, h: f32| NormBox { x: 0.0, y: 0.0, w, h };
+    let [w, h] = geometry.anchors[anchor];
+    shape(w / geometry.net.width as f32, h / geometry.net.height as f32).iou(&shape(b.w, b.h))
 }
 
 fn target(geometry: &Geometry, at: Predictor, b: &NormBox) -> [f32; 4] {
@@ -152,7 +168,7 @@ mod tests {
         let geometry = tiny();
         // 10 x 14 is anchor 0: the fine head (26 x 26). Centre (105, 57): column 6, row 3.
         let truths = [truth(100.0, 50.0, 110.0, 64.0, 1)];
-        let positives = assign(&geometry, 0, &truths).unwrap();
+        let positives = assign(&geometry, 0, &truths, 1.0).unwrap();
         assert_eq!(positives[0].at, Predictor { head: 1, anchor: 0, cell: 3 * 26 + 6 });
         let want = [105.0 / 16.0 - 6.0, 57.0 / 16.0 - 3.0, 0.0, 0.0];
         assert!(positives[0].target.iter().zip(want).all(|(a, b)| (a - b).abs() < 1e-5), "{:?}", positives[0].target);
@@ -162,7 +178,7 @@ mod tests {
     fn later_truths_overwrite_the_box_and_add_their_class() {
         let truths = [truth(100.0, 100.0, 180.0, 180.0, 1), truth(101.0, 101.0, 183.0, 183.0, 2)];
         let geometry = tiny();
-        let positives = assign(&geometry, 0, &truths).unwrap();
+        let positives = assign(&geometry, 0, &truths, 1.0).unwrap();
         assert_eq!(positives.len(), 1);
         assert_eq!((positives[0].truth, positives[0].classes.as_slice()), (&truths[1], [1, 2].as_slice()));
     }
@@ -171,7 +187,7 @@ mod tests {
     fn a_centre_on_the_far_border_falls_into_the_last_cell() {
         let truths = [truth(400.0, 400.0, 432.0, 432.0, 0)];
         let geometry = tiny();
-        let at = assign(&geometry, 0, &truths).unwrap()[0].at;
+        let at = assign(&geometry, 0, &truths, 1.0).unwrap()[0].at;
         assert_eq!(at.cell, geometry.heads[at.head].cells() - 1);
     }
 
@@ -185,8 +201,25 @@ mod tests {
             (Truth { bounds: NormBox { w: 0.0, ..good.bounds }, ..good.clone() }, "size 0"),
             (Truth { bounds: NormBox { h: f32::NAN, ..good.bounds }, ..good.clone() }, "NaN"),
         ] {
-            let message = assign(&geometry, 4, &[good.clone(), bad]).unwrap_err().to_string();
+            let message = assign(&geometry, 4, &[good.clone(), bad], 1.0).unwrap_err().to_string();
             assert!(message.starts_with("image 4, box 1: ") && message.contains(words), "{message}");
+        }
+    }
+
+    #[test]
+    fn other_anchors_of_like_shape_learn_too() {
+        let geometry = ModelConfig::of(Architecture::YoloV3).geometry(NetSize::square(416));
+        let truths = [Truth { bounds: NormBox { x: 0.5, y: 0.5, w: 0.11, h: 0.14 }, class: 0, weight: 1.0, keypoints: Vec::new() }];
+        let best = assign(&geometry, 0, &truths, 1.0).unwrap();
+        assert_eq!(best.len(), 1);
+        let more = assign(&geometry, 0, &truths, 0.4).unwrap();
+        assert_eq!(more[0], best[0]);
+        let wanted = (0..9).filter(|&a| shape_iou(&geometry, a, &truths[0].bounds) > 0.4).count();
+        assert!(more.len() == wanted && wanted > 1, "{wanted}");
+        // Each decodes back to the box from its own anchor.
+        for p in &more {
+            let [aw, ah] = geometry.anchor(p.at);
+            assert!((p.target[2].exp() * aw - 0.11).abs() < 1e-5 && (p.target[3].exp() * ah - 0.14).abs() < 1e-5);
         }
     }
 }

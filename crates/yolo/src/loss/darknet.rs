@@ -52,7 +52,7 @@ mod tests {
 
     #[test]
     fn gradient_is_that_of_the_terms() {
-        shared::check_gradient(Loss { kind: LossKind::Darknet, ignore_iou: 0.6 });
+        shared::check_gradient(Loss::new(LossKind::Darknet, 0.6));
     }
 
     /// All logits 0 in a 32 x 32 input: every sigmoid is 1/2 and every cross-entropy ln 2, boxes are the anchors in the cells' middles.
@@ -63,7 +63,7 @@ mod tests {
         // 10 x 14 around (8, 8): anchor 0 of the fine head, cell 0, target (1/2, 1/2, 0, 0), scale 2 - 140 / 1024. It overlaps no other
         // predictor by more than 0.6: anchor 1 in the same place has 140 / 621.
         let truths = [vec![Truth::from_net_box(&PixelBox::from([3.0, 1.0, 13.0, 15.0]), 0, NetSize::square(32))]];
-        let got = Loss { kind: LossKind::Darknet, ignore_iou: 0.6 }.evaluate(&geometry, &logits, &truths).unwrap();
+        let got = Loss::new(LossKind::Darknet, 0.6).evaluate(&geometry, &logits, &truths).unwrap();
         let ln2 = std::f64::consts::LN_2;
         let scale = 2.0 - 140.0 / 1024.0;
         let close = |a: f64, b: f64| (a - b).abs() < 1e-5;

@@ -32,6 +32,16 @@ pub struct Loss {
     pub kind: LossKind,
     /// A predictor that learns no box, but whose box overlaps a truth by more than this, is no negative either.
     pub ignore_iou: f32,
+    /// Besides the anchor of best shape, every one whose shape overlaps a truth's by more than this learns it too; 1 for none.
+    pub assign_iou: f32,
+}
+
+impl Loss {
+    /// As Darknet assigns: one anchor a truth.
+    #[must_use]
+    pub fn new(kind: LossKind, ignore_iou: f32) -> Self {
+        Self { kind, ignore_iou, assign_iou: 1.0 }
+    }
 }
 
 /// The parts of a loss, each summed over cells and heads and divided by the batch.
@@ -99,7 +109,7 @@ impl Loss {
             .zip(truths)
             .enumerate()
             .map(|(index, (image, truths))| {
-                let positives = targets::assign(geometry, index, truths)?;
+                let positives = targets::assign(geometry, index, truths, self.assign_iou)?;
                 let mut terms = match self.kind {
                     LossKind::Darknet => darknet::image(image, truths, &positives, self.ignore_iou),
                     LossKind::Paper => paper::image(image, truths, &positives, self.ignore_iou),
@@ -268,8 +278,8 @@ pub(crate) mod tests {
             let mut side = || rng.uniform(4.0, 60.0);
             let boxes: Vec<PixelBox> = (0..4).map(|_| PixelBox::from_center(side(), side(), side(), side())).collect();
             let truths: Vec<Truth> = boxes.iter().map(|b| Truth::from_net_box(b, 0, geometry.net)).collect();
-            let positives = targets::assign(&geometry, 0, &truths).unwrap();
-            let got = Loss { kind: LossKind::Darknet, ignore_iou }.evaluate(&geometry, &logits, std::slice::from_ref(&truths)).unwrap();
+            let positives = targets::assign(&geometry, 0, &truths, 1.0).unwrap();
+            let got = Loss::new(LossKind::Darknet, ignore_iou).evaluate(&geometry, &logits, std::slice::from_ref(&truths)).unwrap();
             for at in (0..2).flat_map(|head| geometry.predictors(head)) {
                 let b = geometry.decode_box(at, geometry.box_logits(at, &logits[at.head]));
                 let naive = truths.iter().any(|t| b.iou(&t.bounds) > ignore_iou) && positives.iter().all(|p| p.at != at);
@@ -284,7 +294,7 @@ pub(crate) mod tests {
     #[test]
     fn one_thread_and_many_agree_to_the_bit() {
         let (geometry, (logits, truths)) = (geometry(), batch());
-        let loss = Loss { kind: LossKind::Paper, ignore_iou: 0.5 };
+        let loss = Loss::new(LossKind::Paper, 0.5);
         let run = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| loss.evaluate(&geometry, &logits, &truths).unwrap())
@@ -296,7 +306,7 @@ pub(crate) mod tests {
     fn wrong_lengths_are_refused() {
         let (geometry, (mut logits, truths)) = (geometry(), batch());
         logits[1].pop();
-        let message = Loss { kind: LossKind::Darknet, ignore_iou: 0.5 }.evaluate(&geometry, &logits, &truths).unwrap_err().to_string();
+        let message = Loss::new(LossKind::Darknet, 0.5).evaluate(&geometry, &logits, &truths).unwrap_err().to_string();
         assert!(message.contains("logits of head 1"), "{message}");
     }
 }

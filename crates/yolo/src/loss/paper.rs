@@ -61,7 +61,7 @@ mod tests {
 
     #[test]
     fn gradient_is_that_of_the_terms() {
-        shared::check_gradient(Loss { kind: LossKind::Paper, ignore_iou: 0.5 });
+        shared::check_gradient(Loss::new(LossKind::Paper, 0.5));
     }
 
     /// As in [`super::super::darknet`]: all logits 0, one truth that is exactly its anchor but for a shift of a quarter cell.
@@ -71,7 +71,7 @@ mod tests {
         let logits: Vec<Vec<f32>> = (0..2).map(|head| vec![0.0; geometry.head_len(head)]).collect();
         let plain = Truth::from_net_box(&PixelBox::from([-1.0, 1.0, 9.0, 15.0]), 0, NetSize::square(32));
         let truths = [vec![Truth { weight: 0.5, ..plain }]];
-        let got = Loss { kind: LossKind::Paper, ignore_iou: 0.6 }.evaluate(&geometry, &logits, &truths).unwrap();
+        let got = Loss::new(LossKind::Paper, 0.6).evaluate(&geometry, &logits, &truths).unwrap();
         let ln2 = std::f64::consts::LN_2;
         let scale = 0.5 * (2.0 - 140.0 / 1024.0);
         let close = |a: f64, b: f64| (a - b).abs() < 1e-5;

@@ -21,7 +21,7 @@ fn gradients_and_scalar_of_darknets_loss() {
     let logits = ["h13", "h26"].map(|head| golden::npy(dir.join(format!("logits-{head}.npy"))).1);
     let expected = golden::json(dir.join("expected.json"));
     for (ignore_iou, case) in [(0.7, "pj-ignore0.7"), (0.5, "pj-ignore0.5")] {
-        let got = Loss { kind: LossKind::Darknet, ignore_iou }.evaluate(&geometry, &logits, &truths(&dir)).unwrap();
+        let got = Loss::new(LossKind::Darknet, ignore_iou).evaluate(&geometry, &logits, &truths(&dir)).unwrap();
         let mut total = 0.0;
         for (gradient, head) in got.gradients.iter().zip(["h13", "h26"]) {
             // Darknet's delta is the descent direction of the sum over the batch of two.

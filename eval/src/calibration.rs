@@ -51,12 +51,12 @@ pub fn calibration(images: &[MatchedImage]) -> Calibration {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::matching::Claim;
+    use crate::matching::{Claim, MarkerIndex};
 
     #[test]
     fn scores_that_are_right_as_often_as_they_say_have_no_error() {
         let image = |score: f64, hits: usize, misses: usize| {
-            let claim = |verdict| Claim { score, iou: 0.5, marker: Some(0), verdict };
+            let claim = |verdict| Claim { score, iou: 0.5, marker: MarkerIndex::new(0), verdict };
             let claims = [vec![claim(Verdict::Hit); hits], vec![claim(Verdict::FalsePositive); misses]].concat();
             MatchedImage { markers: hits as u32, claims }
         };

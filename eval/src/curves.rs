@@ -83,7 +83,9 @@ pub fn froc_area(images: &[MatchedImage], scores: &Scores) -> Option<(f64, Optio
         return None;
     }
     let drawn = |d: &[Drawn]| area_of_steps(d.iter().rev().map(|d| (d.fp / d.images, d.tp / d.markers)));
-    Some((exact_area(images, scores.markers() as f64), scores.interval_of_all(drawn)))
+    let beyond = scores.counts.iter().rposition(|c| c.fp > scores.images);
+    let floor = beyond.map_or(0.0, |k| scores.thresholds[k]);
+    Some((exact_area(images, scores.markers() as f64, floor), scores.interval_of_all(drawn)))
 }
 
 /// The area under steps given by rising false positives an image.
@@ -98,9 +100,9 @@ fn area_of_steps(steps: impl Iterator<Item = (f64, f64)>) -> f64 {
     area + (1.0 - at) * height
 }
 
-/// The same from every score rather than from a grid of them.
-fn exact_area(images: &[MatchedImage], markers: f64) -> f64 {
-    let all = images.iter().flat_map(|i| &i.claims).filter(|c| c.verdict != Verdict::Duplicate);
+/// The same from every score, rather than from a grid of them, down to `floor`: there false positives exceed one an image.
+fn exact_area(images: &[MatchedImage], markers: f64, floor: f64) -> f64 {
+    let all = images.iter().flat_map(|i| &i.claims).filter(|c| c.verdict != Verdict::Duplicate && c.score >= floor);
     let mut claims: Vec<(f64, bool)> = all.map(|c| (c.score, c.verdict == Verdict::Hit)).collect();
     claims.par_sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
     let (mut tp, mut fp) = (0.0, 0.0);
@@ -116,10 +118,10 @@ fn exact_area(images: &[MatchedImage], markers: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::matching::Claim;
+    use crate::matching::{Claim, MarkerIndex};
 
     fn images() -> Vec<MatchedImage> {
-        let claim = |score, verdict| Claim { score, iou: 0.8, marker: Some(0), verdict };
+        let claim = |score, verdict| Claim { score, iou: 0.8, marker: MarkerIndex::new(0), verdict };
         let both = |hit: f64, fp: f64| {
             let mut claims = vec![claim(hit, Verdict::Hit), claim(fp, Verdict::FalsePositive)];
             claims.sort_by(|a, b| b.score.total_cmp(&a.score));

@@ -172,7 +172,7 @@ impl Evaluation {
             out.extend((0..matched.markers as usize).map(|marker| MarkerOutcome { image, marker, found: false, iou: 0.0 }));
             for claim in matched.claims.iter().take_while(|c| c.score >= threshold) {
                 if let Some(m) = claim.marker {
-                    let outcome = &mut out[start + m as usize];
+                    let outcome = &mut out[start + m.get()];
                     outcome.found |= claim.verdict == Verdict::Hit;
                     outcome.iou = outcome.iou.max(claim.iou);
                 }

@@ -1,7 +1,7 @@
 //! Where a detector fails: four kinds of error, told apart by overlap.
 use crate::{
     evaluation::Evaluation,
-    matching::{Verdict, by_falling_score},
+    matching::{MarkerIndex, Verdict, by_falling_score},
     truth::Truth,
 };
 use serde::Serialize;
@@ -74,13 +74,33 @@ pub struct Failure {
 #[must_use]
 pub fn failures(truth: &Truth, evaluation: &Evaluation, threshold: f64) -> Vec<Failure> {
     let mut out = Vec::new();
+    visit(truth, evaluation, threshold, |failure| out.push(failure));
+    let gravity = |f: &Failure| match f.kind {
+        Kind::Missed => f.truth.map_or(0.0, |b| b.width().min(b.height())),
+        Kind::Background | Kind::Duplicate => f.score.unwrap_or(0.0),
+        Kind::Misplaced => -f.iou,
+    };
+    out.sort_by(|a, b| a.kind.cmp(&b.kind).then(gravity(b).total_cmp(&gravity(a))).then(a.image.cmp(&b.image)));
+    out
+}
+
+/// How many errors of each kind there are, in the order of [`Kind::ALL`].
+#[must_use]
+pub fn count(truth: &Truth, evaluation: &Evaluation, threshold: f64) -> [(Kind, u64); 4] {
+    let mut counts = Kind::ALL.map(|kind| (kind, 0));
+    visit(truth, evaluation, threshold, |failure| counts[failure.kind as usize].1 += 1);
+    counts
+}
+
+/// Hands over every error, in order of the truth.
+fn visit(truth: &Truth, evaluation: &Evaluation, threshold: f64, mut take: impl FnMut(Failure)) {
     for (image, matched) in evaluation.images.iter().enumerate() {
         let markers = &truth.records[image].markers;
         let kept = matched.claims.iter().take_while(|c| c.score >= threshold);
         let mut best: Vec<Option<(f64, usize, f64)>> = vec![None; markers.len()];
         let mut found = vec![false; markers.len()];
         for (k, claim) in kept.enumerate() {
-            let marker = claim.marker.map(|m| m as usize);
+            let marker = claim.marker.map(MarkerIndex::get);
             let failure = |kind| Failure {
                 kind,
                 image,
@@ -90,9 +110,9 @@ pub fn failures(truth: &Truth, evaluation: &Evaluation, threshold: f64) -> Vec<F
                 iou: claim.iou,
             };
             match claim.verdict {
-                Verdict::Duplicate => out.push(failure(Kind::Duplicate)),
-                Verdict::FalsePositive if claim.iou < TOUCHING => out.push(Failure { truth: None, ..failure(Kind::Background) }),
-                Verdict::FalsePositive => out.push(failure(Kind::Misplaced)),
+                Verdict::Duplicate => take(failure(Kind::Duplicate)),
+                Verdict::FalsePositive if claim.iou < TOUCHING => take(Failure { truth: None, ..failure(Kind::Background) }),
+                Verdict::FalsePositive => take(failure(Kind::Misplaced)),
                 Verdict::Hit => {}
             }
             if let Some(m) = marker {
@@ -105,21 +125,14 @@ pub fn failures(truth: &Truth, evaluation: &Evaluation, threshold: f64) -> Vec<F
         for (m, marker) in markers.iter().enumerate() {
             let truth = Some(marker.bounds);
             match (found[m], best[m]) {
-                (false, _) => out.push(Failure { kind: Kind::Missed, image, truth, claim: None, score: None, iou: 0.0 }),
+                (false, _) => take(Failure { kind: Kind::Missed, image, truth, claim: None, score: None, iou: 0.0 }),
                 (true, Some((iou, k, score))) if iou < WELL_PLACED => {
-                    out.push(Failure { kind: Kind::Misplaced, image, truth, claim: Some(k), score: Some(score), iou });
+                    take(Failure { kind: Kind::Misplaced, image, truth, claim: Some(k), score: Some(score), iou });
                 }
                 _ => {}
             }
         }
     }
-    let gravity = |f: &Failure| match f.kind {
-        Kind::Missed => f.truth.map_or(0.0, |b| b.width().min(b.height())),
-        Kind::Background | Kind::Duplicate => f.score.unwrap_or(0.0),
-        Kind::Misplaced => -f.iou,
-    };
-    out.sort_by(|a, b| a.kind.cmp(&b.kind).then(gravity(b).total_cmp(&gravity(a))).then(a.image.cmp(&b.image)));
-    out
 }
 
 /// The box of the claim of a failure, read again from the detections.

@@ -9,6 +9,7 @@
 //! most. Which marker a detection belongs to then depends on detections of higher score only, so one matching serves
 //! every threshold, and with one marker an image it is the rule above exactly.
 use crate::config::{Config, IouKind};
+use std::num::NonZeroU32;
 use tcross_dataset::{
     Detection, Marker, PixelBox,
     geom::boxes::{iou, iou_inclusive},
@@ -25,6 +26,24 @@ pub enum Verdict {
     FalsePositive,
 }
 
+/// Index of a marker in its record. `Option<MarkerIndex>` is four bytes: claims are what memory is spent on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MarkerIndex(NonZeroU32);
+
+impl MarkerIndex {
+    /// Of a marker's position in its record; `None` beyond four thousand million.
+    #[must_use]
+    pub fn new(position: usize) -> Option<Self> {
+        u32::try_from(position).ok()?.checked_add(1).and_then(NonZeroU32::new).map(Self)
+    }
+
+    /// The position.
+    #[must_use]
+    pub fn get(self) -> usize {
+        self.0.get() as usize - 1
+    }
+}
+
 /// A detection after matching.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Claim {
@@ -33,7 +52,7 @@ pub struct Claim {
     /// With `marker`; 0 without one.
     pub iou: f64,
     /// Index of the marker it belongs to; of a false positive the one it overlaps most, if it overlaps any.
-    pub marker: Option<u32>,
+    pub marker: Option<MarkerIndex>,
     /// What became of it.
     pub verdict: Verdict,
 }
@@ -122,7 +141,7 @@ pub fn match_image(markers: &[Marker], detections: &[Detection], rule: &Rule) ->
         if let (Verdict::Hit, Some(m)) = (verdict, marker) {
             found[m] = true;
         }
-        Claim { score: detection.score, iou, marker: marker.map(|m| m as u32), verdict }
+        Claim { score: detection.score, iou, marker: marker.and_then(MarkerIndex::new), verdict }
     };
     by_falling_score(detections).into_iter().map(claim).collect()
 }
@@ -154,7 +173,7 @@ pub fn tally(claims: &[Claim], markers: usize, thresholds: &[f64]) -> Vec<Tally>
                 Verdict::Duplicate => now.duplicates += 1,
                 Verdict::FalsePositive => now.fp += 1,
             }
-            if let Some(best) = claim.marker.and_then(|m| best.get_mut(m as usize)) {
+            if let Some(best) = claim.marker.and_then(|m| best.get_mut(m.get())) {
                 now.iou += (claim.iou - *best).max(0.0);
                 *best = best.max(claim.iou);
             }
@@ -222,7 +241,7 @@ mod tests {
             detection(0.6, [40.0, 40.0, 50.0, 50.0]), // nothing there
         ];
         let claims = match_image(&markers, &detections, &Rule::default());
-        let verdicts: Vec<_> = claims.iter().map(|c| (c.verdict, c.marker)).collect();
+        let verdicts: Vec<_> = claims.iter().map(|c| (c.verdict, c.marker.map(MarkerIndex::get))).collect();
         use Verdict::{Duplicate, FalsePositive, Hit};
         assert_eq!(verdicts, [(Hit, Some(0)), (Hit, Some(1)), (Duplicate, Some(0)), (FalsePositive, None)]);
         let all = tally(&claims, 2, &[0.0])[0];

@@ -3,7 +3,7 @@ use crate::{
     calibration::calibration,
     curves,
     evaluation::Evaluation,
-    failures::{Kind, failures},
+    failures,
     interval::Interval,
     slices::{at_least, slices},
     truth::Truth,
@@ -53,9 +53,8 @@ fn paper(truth: &Truth, evaluation: &Evaluation, validation: Option<&Evaluation>
     if let Some((rate, interval)) = false_positives_per_1000(evaluation) {
         out["fp_per_1000_without_marker"] = json!({"images": scores.empty_images, "value": rate, "ci": interval});
     }
-    let all = failures(truth, evaluation, evaluation.config.threshold);
-    let counts: Map<String, Value> =
-        Kind::ALL.iter().map(|k| (k.key().into(), json!(all.iter().filter(|f| f.kind == *k).count()))).collect();
+    let counts = failures::count(truth, evaluation, evaluation.config.threshold);
+    let counts: Map<String, Value> = counts.into_iter().map(|(kind, n)| (kind.key().into(), json!(n))).collect();
     out["errors"] = Value::Object(counts);
     if let Some(paper) = evaluation.config.paper.as_ref().and_then(|p| crate::paper_tables::find(p).ok()) {
         out["verdict"] = json!(RowVerdict::new(&evaluation.headline(), scores.images, paper));

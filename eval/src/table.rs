@@ -46,6 +46,8 @@ impl Cell {
             Self::Count(n) => n.to_string(),
             Self::Number(v, digits) => rounded(*v, *digits),
             Self::Verdict(word, _) => (*word).to_owned(),
+            // A minus sign and a dash would be read as one.
+            Self::Range([lo, hi], digits) if *lo < 0.0 => format!("{} to {}", rounded(*lo, *digits), rounded(*hi, *digits)),
             Self::Range([lo, hi], digits) => format!("{}-{}", rounded(*lo, *digits), rounded(*hi, *digits)),
             Self::Undefined => "-".into(),
         }

@@ -2,7 +2,7 @@
 //! is wrong by a side, however well its outline fits.
 use crate::{
     interval::quantile,
-    matching::{Claim, Verdict, by_falling_score},
+    matching::{Claim, MarkerIndex, Verdict, by_falling_score},
 };
 use serde::Serialize;
 use tcross_dataset::{Detection, Marker, Pose, PoseOutcome, Quad, geom::quad::angle_deg};
@@ -100,7 +100,7 @@ pub fn measure_poses(image: usize, markers: &[Marker], detections: &[Detection],
     for (m, marker) in markers.iter().enumerate() {
         let Some(corners) = marker.corners else { continue };
         out.markers += 1;
-        let hit = kept.iter().find(|(c, _)| c.verdict == Verdict::Hit && c.marker == Some(m as u32));
+        let hit = kept.iter().find(|(c, _)| c.verdict == Verdict::Hit && c.marker == MarkerIndex::new(m));
         match hit.map(|(_, d)| &d.pose) {
             None => out.missed += 1,
             Some(None) => *out.refused.entry("no pose in the file".into()).or_default() += 1,

@@ -5,8 +5,7 @@ use crate::{
     compare::Comparison,
     curves,
     evaluation::Evaluation,
-    failures::{Kind, failures},
-    metrics,
+    failures, metrics,
     paper_tables::{self, PaperRow},
     protocol::{
         coco::CocoScores,
@@ -38,17 +37,20 @@ pub fn headline(runs: &[Run]) -> Table {
     let columns = ["shape", "whose", "markers", "mean IoU", "95 %", "FP", "FN", "% of FN", "precision", "95 %", "recall", "95 %"];
     let threshold = runs.first().map_or(0.3, |r| r.evaluation.config.threshold);
     let mut table = Table::new(format!("The paper's metrics at score threshold {threshold}."), &columns);
+    let mut above: Option<&PaperRow> = None;
     for run in runs {
         let row = run.evaluation.headline();
-        if let Some(paper) = run.paper() {
+        // Runs that follow each other and name one row of the paper share it.
+        if let Some(paper) = run.paper().filter(|p| above.is_none_or(|a| a != *p)) {
             table.rows.extend(paper_rows(paper));
-        }
-        table.rows.push(our_row(&run.evaluation.name, &row));
-        if let Some(paper) = run.paper() {
-            table.rows.push(verdict_row(&RowVerdict::new(&row, run.evaluation.scores.images, paper)));
             if let Some(fault) = paper.fault {
                 table.notes.push(format!("The printed row '{}' of table {} contradicts itself: {fault}.", paper.name, paper.table));
             }
+        }
+        above = run.paper();
+        table.rows.push(our_row(&run.evaluation.name, &row));
+        if let Some(paper) = run.paper() {
+            table.rows.push(verdict_row(&RowVerdict::new(&row, run.evaluation.scores.images, paper)));
         }
     }
     table.notes.push(
@@ -260,9 +262,7 @@ pub fn summary(run: &Run) -> Table {
         row("precision on this split at that threshold".into(), Cell::number(chosen.precision, 4), Cell::range(chosen.precision_ci, 4));
         row("recall on this split at that threshold".into(), Cell::number(chosen.recall, 4), Cell::range(chosen.recall_ci, 4));
     }
-    let all = failures(run.truth, evaluation, evaluation.config.threshold);
-    for kind in Kind::ALL {
-        let count = all.iter().filter(|f| f.kind == kind).count() as u64;
+    for (kind, count) in failures::count(run.truth, evaluation, evaluation.config.threshold) {
         row(format!("errors: {}", kind.key()), Cell::Count(count), Cell::Undefined);
     }
     if let Some(ms) = evaluation.ms {
@@ -293,7 +293,11 @@ pub fn comparison(c: &Comparison) -> Table {
     let mut table = Table::new(format!("{} against {}.", c.first, c.second), &columns);
     for d in &c.differences {
         table.rows.push(vec![
-            Cell::text(d.metric.replace('_', " ")),
+            Cell::text(match d.metric {
+                "mean_iou" => "mean IoU",
+                "f1" => "F1",
+                other => other,
+            }),
             Cell::Number(d.first, 4),
             Cell::Number(d.second, 4),
             Cell::Number(d.difference, 4),

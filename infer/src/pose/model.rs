@@ -73,10 +73,12 @@ fn outline_constraints(outline: &[EdgePoint]) -> Vec<Constraint> {
 }
 
 fn judge(_fitted: &Fit, arms: &arms::Arms, _outline: usize, _config: &Config) -> Result<(), Refusal> {
-    if arms.presence.iter().filter(|p| **p > 0.35).count() < 3 || arms.likeness < 0.5 {
+    let mut presence = arms.presence;
+    presence.sort_by(f64::total_cmp);
+    if presence[1] < 0.35 || arms.likeness < 0.5 {
         return Err(Refusal::NoCross);
     }
-    if arms.separation < 3.0 {
+    if presence[1] - presence[0] < 0.35 || arms.separation < 1.2 {
         return Err(Refusal::Ambiguous);
     }
     Ok(())

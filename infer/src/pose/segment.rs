@@ -160,7 +160,7 @@ fn slide(cells: &mut [bool], lines: usize, length: usize, line_step: usize, step
 }
 
 /// Grows (dilates) or shrinks (erodes) a mask by a square of `2 * radius + 1` cells.
-fn morph(mask: &mut Mask, radius: usize, grow: bool) {
+pub(super) fn morph(mask: &mut Mask, radius: usize, grow: bool) {
     let (w, h) = (mask.width, mask.height);
     slide(&mut mask.cells, h, w, w, 1, radius, grow);
     slide(&mut mask.cells, w, h, 1, w, radius, grow);

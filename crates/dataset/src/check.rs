@@ -92,11 +92,11 @@ pub fn check(dir: impl AsRef<std::path::Path>) -> Result<CheckReport, DatasetErr
                     pictures.insert(digest, (split, record.image.clone()));
                 }
             }
-            if let Some(photo) = record.background.as_ref().filter(|b| !b.starts_with("procedural/")) {
+            if let Some(photo) = record.photo() {
                 match photos.get(photo) {
                     Some(other) if *other != split => say(Fault::Leak, format!("the photo {photo} is in {other} too")),
                     _ => {
-                        photos.insert(photo.clone(), split);
+                        photos.insert(photo.to_owned(), split);
                     }
                 }
             }

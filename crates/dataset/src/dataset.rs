@@ -1,7 +1,10 @@
 //! A dataset's folder: `dataset.toml`, `{train,val,test}.jsonl`, `{train,val,test}/NNNNN.jpg`.
 use crate::{error::DatasetError, files, record::Record, split::Split};
 use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
 
 /// How the numbers of `box` are to be read.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -34,6 +37,9 @@ pub struct DatasetHeader {
     /// How the numbers of `box` are to be read.
     #[serde(default)]
     pub boxes: BoxConvention,
+    /// A digest a split, see [`crate::digest`].
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub digests: BTreeMap<String, String>,
 }
 
 fn one() -> u32 {

@@ -1,26 +1,19 @@
-//! `b3sums.txt`: the digest of every file of a dataset, in the form that the tool `b3sum --check` reads.
-use crate::{DatasetError, files};
+//! Digests by which a dataset can be recognised: one a split, kept in `dataset.toml`.
+use crate::{Dataset, DatasetError, Split, formats};
 use rayon::prelude::*;
-use std::{
-    collections::BTreeMap,
-    fmt::Write,
-    path::{Path, PathBuf},
-};
+use std::collections::{BTreeMap, BTreeSet};
 
-/// Name of the list.
-pub const LIST: &str = "b3sums.txt";
-
-/// What differs from the list.
+/// What differs from what `dataset.toml` says.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Differences {
-    /// Files checked.
+    /// Pictures and lists looked at.
     pub files: usize,
-    /// Listed files that are not there.
+    /// Files that a list names and that are not there.
     pub missing: Vec<String>,
-    /// Files whose bytes differ.
-    pub changed: Vec<String>,
-    /// Files that are not listed.
+    /// Pictures of a split's folder that its list does not name.
     pub unlisted: Vec<String>,
+    /// Splits whose pictures or list have other bytes than they were written with.
+    pub changed: Vec<Split>,
 }
 
 impl Differences {
@@ -31,94 +24,84 @@ impl Differences {
     }
 }
 
-/// Every file that belongs to a dataset, sorted, relative to it: lists, pictures, `dataset.toml`.
-fn members(dir: &Path) -> Result<Vec<String>, DatasetError> {
-    fn walk(folder: &Path, found: &mut Vec<PathBuf>) -> Result<(), DatasetError> {
-        for entry in std::fs::read_dir(folder).map_err(|e| DatasetError::io(folder, e))? {
-            let path = entry.map_err(|e| DatasetError::io(folder, e))?.path();
-            if path.is_dir() {
-                walk(&path, found)?;
-            } else {
-                found.push(path);
-            }
+/// A split's digest: BLAKE3 over the BLAKE3 digests (32 bytes each) of its pictures in order of the list, then of the list.
+///
+/// # Errors
+/// If the list or a picture cannot be read.
+pub fn of_split(dataset: &Dataset, split: Split) -> Result<String, DatasetError> {
+    let mut paths: Vec<_> = dataset.records(split)?.iter().map(|r| dataset.image_path(r)).collect();
+    paths.push(dataset.list_path(split));
+    let digest = |path| std::fs::read(path).map(|bytes| blake3::hash(&bytes)).map_err(|e| DatasetError::io(path, e));
+    let parts: Vec<blake3::Hash> = paths.par_iter().map(digest).collect::<Result<_, _>>()?;
+    let mut hasher = blake3::Hasher::new();
+    for part in parts {
+        hasher.update(part.as_bytes());
+    }
+    Ok(hasher.finalize().to_hex().to_string())
+}
+
+/// The digests of all splits, as `dataset.toml` has them.
+///
+/// # Errors
+/// If a list or a picture cannot be read.
+pub fn of_dataset(dataset: &Dataset) -> Result<BTreeMap<String, String>, DatasetError> {
+    dataset.splits().into_iter().map(|s| Ok((s.to_string(), of_split(dataset, s)?))).collect()
+}
+
+/// Compares every file with the digests of `dataset.toml`.
+///
+/// # Errors
+/// If there are no digests, or a file cannot be read.
+pub fn verify(dir: impl AsRef<std::path::Path>) -> Result<Differences, DatasetError> {
+    let dataset = Dataset::open(dir)?;
+    let path = dataset.dir.join("dataset.toml");
+    if dataset.header.digests.is_empty() {
+        return Err(DatasetError::unfit(path, "no [digests]", "those that a generated or converted dataset is written with"));
+    }
+    let mut differences = Differences::default();
+    for split in Split::ALL {
+        let Some(expected) = dataset.header.digests.get(split.name()) else { continue };
+        if !dataset.list_path(split).is_file() {
+            differences.missing.push(format!("{split}.jsonl"));
+            continue;
         }
-        Ok(())
+        let records = dataset.records(split)?;
+        differences.files += records.len() + 1;
+        let missing: Vec<String> = records.iter().filter(|r| !dataset.image_path(r).is_file()).map(|r| r.image.clone()).collect();
+        let listed: BTreeSet<&str> = records.iter().map(|r| r.image.as_str()).collect();
+        let folder = dataset.dir.join(split.name());
+        if folder.is_dir() {
+            let names = formats::pictures_in(&folder)?.into_iter().map(|p| formats::relative(&p, &dataset.dir));
+            differences.unlisted.extend(names.filter(|n| !listed.contains(n.as_str())));
+        }
+        if missing.is_empty() && of_split(&dataset, split)? != *expected {
+            differences.changed.push(split);
+        }
+        differences.missing.extend(missing);
     }
-    let mut found = Vec::new();
-    walk(dir, &mut found)?;
-    let own = |p: &PathBuf| {
-        let top = p.strip_prefix(dir).ok().and_then(|p| p.components().next()).map(|c| c.as_os_str().to_string_lossy().into_owned());
-        let ending = p.extension().and_then(|e| e.to_str()).unwrap_or_default();
-        let split = |name: &str| ["train", "val", "test"].contains(&name);
-        top.is_some_and(|top| split(&top) || top == "dataset.toml" || top.strip_suffix(".jsonl").is_some_and(split)) && ending != "partial"
-    };
-    let name = |p: PathBuf| {
-        p.strip_prefix(dir).unwrap_or(&p).components().map(|c| c.as_os_str().to_string_lossy().into_owned()).collect::<Vec<_>>().join("/")
-    };
-    let mut names: Vec<String> = found.into_iter().filter(own).map(name).collect();
-    names.sort();
-    Ok(names)
-}
-
-/// Writes the list and returns its own digest.
-///
-/// # Errors
-/// If a file cannot be read or the folder cannot be written.
-pub fn write(dir: &Path) -> Result<String, DatasetError> {
-    let names = members(dir)?;
-    let digests: Vec<String> = names.par_iter().map(|n| files::digest(dir.join(n))).collect::<Result<_, _>>()?;
-    let mut text = String::new();
-    for (name, digest) in names.iter().zip(digests) {
-        let _ = writeln!(text, "{digest}  {name}");
-    }
-    files::write_atomically(dir.join(LIST), &text)?;
-    Ok(files::digest_bytes(text))
-}
-
-/// Compares every file with the list.
-///
-/// # Errors
-/// If there is no list, a line of it is not `digest  name`, or a file cannot be read.
-pub fn verify(dir: &Path) -> Result<Differences, DatasetError> {
-    let path = dir.join(LIST);
-    if !path.is_file() {
-        return Err(DatasetError::unfit(dir, format!("no {LIST}"), "the list of digests that a dataset is written with"));
-    }
-    let text = files::read_text(&path)?;
-    let mut listed = BTreeMap::new();
-    for (k, line) in text.lines().enumerate() {
-        let entry = line.split_once("  ").filter(|(d, name)| d.len() == 64 && !name.contains(".."));
-        let (digest, name) = entry.ok_or_else(|| DatasetError::line(&path, k + 1, "expected 64 digits, two spaces, a name"))?;
-        listed.insert(name, digest);
-    }
-    let unlisted = members(dir)?.into_iter().filter(|n| !listed.contains_key(n.as_str())).collect();
-    let (there, missing): (Vec<_>, Vec<_>) = listed.iter().partition(|(name, _)| dir.join(name).is_file());
-    let same: Vec<bool> =
-        there.par_iter().map(|(name, digest)| Ok(files::digest(dir.join(name))? == **digest)).collect::<Result<_, DatasetError>>()?;
-    let changed = there.iter().zip(same).filter(|(_, same)| !same).map(|((name, _), _)| (**name).to_owned()).collect();
-    Ok(Differences { files: listed.len(), missing: missing.into_iter().map(|(n, _)| (*n).to_owned()).collect(), changed, unlisted })
+    Ok(differences)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{dataset::BoxConvention, formats};
+    use crate::{dataset::BoxConvention, files};
 
     #[test]
     fn every_kind_of_difference_is_named() {
         let (from, dir) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         let dir = dir.path();
         formats::native::write(&formats::tests::random_set(from.path(), 1, BoxConvention::Continuous), dir).unwrap();
-        write(dir).unwrap();
         let clean = verify(dir).unwrap();
-        assert!(clean.is_empty() && clean.files == 13, "{clean:?}");
+        assert!(clean.is_empty() && clean.files == 12, "{clean:?}");
         std::fs::remove_file(dir.join("train/00001.png")).unwrap();
         std::fs::write(dir.join("train/x.png"), "x").unwrap();
-        files::write_atomically(dir.join("val.jsonl"), "").unwrap();
+        let image = dir.join("val/00002.png");
+        let mut bytes = std::fs::read(&image).unwrap();
+        *bytes.last_mut().unwrap() ^= 1;
+        files::write_atomically(&image, bytes).unwrap();
         let found = verify(dir).unwrap();
-        assert_eq!(
-            (found.missing, found.changed, found.unlisted),
-            (vec!["train/00001.png".into()], vec!["val.jsonl".into()], vec!["train/x.png".into()])
-        );
+        assert_eq!((found.missing, found.unlisted), (vec!["train/00001.png".into()], vec!["train/x.png".into()]));
+        assert_eq!(found.changed, [Split::Val]);
     }
 }

@@ -42,7 +42,7 @@ mod tests {
         let back = formats::native::read(out.path()).unwrap();
         assert_eq!(back.records().count(), 18);
         assert!(out.path().join("test/2-00001.png").is_file() && out.path().join("test/00001.png").is_file());
-        digest::write(out.path()).unwrap();
+        assert!(digest::verify(out.path()).unwrap().is_empty());
         let inclusive = formats::tests::random_set(b.path(), 2, BoxConvention::Inclusive);
         assert!(merge(&[(a.path(), set(a.path(), 1)), (b.path(), inclusive)]).is_err());
     }

@@ -11,7 +11,7 @@ pub struct Record {
     pub width: u32,
     /// Height in pixels.
     pub height: u32,
-    /// The background it was drawn on: a photo's path relative to the backgrounds' folder, or `procedural/<kind>`.
+    /// The background it was drawn on: a photo's path relative to the backgrounds' folder, or `embedded/<kind>`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub background: Option<String>,
     /// Every marker of the image; may be empty.
@@ -25,6 +25,14 @@ pub struct Record {
     /// The parameters of every effect applied to the whole image, by name.
     #[serde(default, skip_serializing_if = "serde_json::Map::is_empty")]
     pub effects: serde_json::Map<String, serde_json::Value>,
+}
+
+impl Record {
+    /// The photo it was drawn on; `None` where that is not known or the background is an embedded scene.
+    #[must_use]
+    pub fn photo(&self) -> Option<&str> {
+        self.background.as_deref().filter(|b| !b.starts_with("embedded/"))
+    }
 }
 
 /// One marker's truth. `corners` run clockwise as seen and start at the stem's corner.

@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 pub fn resplit(set: &Labelled, parts: [u32; 3], seed: u64) -> Labelled {
     let mut groups: BTreeMap<String, Vec<(Split, &Item)>> = BTreeMap::new();
     for (split, item) in set.items() {
-        let photo = item.record.background.as_ref().filter(|b| !b.starts_with("procedural/"));
+        let photo = item.record.photo();
         let key = photo.map_or_else(|| format!("image {split} {}", item.record.image), |p| format!("photo {p}"));
         groups.entry(key).or_default().push((split, item));
     }

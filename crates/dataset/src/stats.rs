@@ -94,7 +94,7 @@ pub fn collect(dataset: &Dataset, splits: &[Split]) -> Result<Stats, DatasetErro
     };
     for record in &all {
         // Photos are counted together; embedded scenes by kind.
-        count("background", record.background.as_deref().map(|b| if b.starts_with("procedural/") { b } else { "photo" }));
+        count("background", record.photo().map_or(record.background.as_deref(), |_| Some("photo")));
         for marker in &record.markers {
             count("shape", Some(&marker.shape));
             count("medium", marker.medium.as_deref());

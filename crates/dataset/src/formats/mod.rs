@@ -263,7 +263,7 @@ fn with_geometry(mut marker: Marker, corners: Quad, center: Option<[f64; 2]>) ->
 }
 
 /// Pictures of a folder, sorted by name; not of the folders in it.
-fn pictures_in(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
+pub(crate) fn pictures_in(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
     let entries = std::fs::read_dir(dir).map_err(|e| DatasetError::io(dir, e))?;
     let is_picture = |p: &PathBuf| {
         let ending = p.extension().and_then(|e| e.to_str()).unwrap_or_default().to_lowercase();
@@ -275,7 +275,7 @@ fn pictures_in(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
 }
 
 /// A path relative to `root`, with `/`.
-fn relative(path: &Path, root: &Path) -> String {
+pub(crate) fn relative(path: &Path, root: &Path) -> String {
     let parts = path.strip_prefix(root).unwrap_or(path).components();
     parts.map(|c| c.as_os_str().to_string_lossy()).collect::<Vec<_>>().join("/")
 }

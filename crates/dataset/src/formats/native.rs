@@ -1,6 +1,6 @@
 //! Our own form: `dataset.toml`, `{train,val,test}.jsonl`, pictures beside them.
 use super::Labelled;
-use crate::{Dataset, DatasetError, Record, dataset::DatasetHeader, files};
+use crate::{Dataset, DatasetError, Record, dataset::DatasetHeader, digest, files};
 use std::path::Path;
 
 /// Reads it.
@@ -13,7 +13,7 @@ pub fn read(dir: &Path) -> Result<Labelled, DatasetError> {
     Ok(Labelled::in_folder(dir, dataset.header.boxes, splits))
 }
 
-/// Writes it. `dataset.toml` holds what every reader needs; how a set was made is not known here.
+/// Writes it. `dataset.toml` holds what every reader needs, and digests; how a set was made is not known here.
 ///
 /// # Errors
 /// If a picture is missing or the folder cannot be written.
@@ -25,7 +25,8 @@ pub fn write(set: &Labelled, out: &Path) -> Result<(), DatasetError> {
         files::write_jsonl(out.join(format!("{split}.jsonl")), &rows)?;
     }
     let path = out.join("dataset.toml");
-    let header = DatasetHeader { format: 1, boxes: set.boxes };
+    let digests = digest::of_dataset(&Dataset { dir: out.to_owned(), header: DatasetHeader::default() })?;
+    let header = DatasetHeader { format: 1, boxes: set.boxes, digests };
     let text = toml::to_string(&header).map_err(|e| DatasetError::line(&path, 1, e))?;
     files::write_atomically(path, text)
 }

@@ -1,0 +1,103 @@
+//! `tcross infer MODEL INPUT...`
+use super::{ConfigArgs, example, must_exist};
+use crate::{
+    console,
+    exit::{Failure, Outcome},
+    work,
+};
+use std::path::PathBuf;
+use tcross_dataset::Split;
+use tcross_infer::{Boxes, Camera, Detector, RunOptions, Source};
+
+const EXAMPLE: &str = "infer runs/quickstart/run photos/ --out detections.jsonl --overlay overlays --pose";
+
+/// Detects markers, and with --pose recovers their poses
+#[derive(clap::Args)]
+#[command(after_help = example(EXAMPLE))]
+pub struct Args {
+    /// MODEL: a run's folder, a .safetensors file with its model.toml, or a Darknet .cfg with its .weights beside it (left
+    /// out with --boxes). INPUT: images, folders, or a dataset
+    #[arg(required = true, value_names = ["MODEL", "INPUT"], num_args = 1..)]
+    model_and_inputs: Vec<PathBuf>,
+    /// Detections file to write; without it they go to stdout
+    #[arg(long, value_name = "F.jsonl")]
+    out: Option<PathBuf>,
+    /// Folder for pictures with the detections drawn on them
+    #[arg(long, value_name = "DIR")]
+    overlay: Option<PathBuf>,
+    /// Which part of a dataset
+    #[arg(long, value_parser = |s: &str| s.parse::<Split>())]
+    split: Option<Split>,
+    /// Keeps detections of at least this score, 0 to 1
+    #[arg(long, value_name = "S")]
+    score: Option<f64>,
+    /// Of two detections that overlap by more than this IoU, the weaker goes
+    #[arg(long, value_name = "T")]
+    nms: Option<f64>,
+    /// Recovers centre, corners, angle and homography of each marker
+    #[arg(long)]
+    pose: bool,
+    /// The camera in pixels; poses then hold rotation and translation
+    #[arg(long, value_name = "fx,fy,cx,cy[,k1,k2]", value_parser = |s: &str| s.parse::<Camera>())]
+    camera: Option<Camera>,
+    /// Side of the markers, in the unit in which positions are wanted
+    #[arg(long, value_name = "L", requires = "camera")]
+    side: Option<f64>,
+    /// Takes boxes from a detections file, or from a dataset's list, in place of a MODEL
+    #[arg(long, value_name = "F.jsonl")]
+    boxes: Option<PathBuf>,
+    /// A picture to lay over each marker, with its perspective
+    #[arg(long, value_name = "PICTURE", requires = "overlay")]
+    replace: Option<PathBuf>,
+    /// Stands a cube on each marker
+    #[arg(long, requires = "overlay")]
+    cube: bool,
+    /// Folder for pictures of the steps of the paper's method
+    #[arg(long, value_name = "DIR")]
+    steps: Option<PathBuf>,
+    /// A config with an [infer] section
+    #[arg(long)]
+    config: Option<PathBuf>,
+    #[command(flatten)]
+    config_args: ConfigArgs,
+}
+
+pub fn run(args: Args) -> Outcome {
+    let config = args.config_args.load(args.config.as_deref(), |c| {
+        c.infer.score = args.score.unwrap_or(c.infer.score);
+        c.infer.nms = args.nms.unwrap_or(c.infer.nms);
+        // Given boxes are of use for poses only.
+        c.infer.pose |= args.pose || args.boxes.is_some() || args.camera.is_some() || args.replace.is_some() || args.cube;
+    })?;
+    let Some(config) = config else { return Ok(()) };
+    let (mut boxes, inputs) = match (&args.boxes, args.model_and_inputs.as_slice()) {
+        (Some(file), inputs) => (Boxes::given(file)?, inputs),
+        (None, [model, inputs @ ..]) if !inputs.is_empty() => {
+            must_exist(model, "model")?;
+            (Boxes::Detector(Box::new(Detector::load(model)?.configured(&config.infer))), inputs)
+        }
+        _ => return Err(Failure::usage(format!("INPUT is missing: images, folders or a dataset; type for instance: tcross {EXAMPLE}"))),
+    };
+    for input in inputs {
+        must_exist(input, "input")?;
+    }
+    let source = Source::open(inputs, args.split)?;
+    let options = RunOptions {
+        out: args.out.clone(),
+        overlay: args.overlay,
+        camera: args.camera,
+        side: args.side,
+        replace: args.replace,
+        cube: args.cube,
+        steps: args.steps,
+    };
+    let to_stdout = args.out.is_none();
+    let report = work::infer(&mut boxes, &source, &config.infer, &options, |line| {
+        if to_stdout && let Ok(text) = serde_json::to_string(line) {
+            console::result(&text);
+        }
+    })?;
+    let poses = if config.infer.pose { format!(", {} poses, {} refused", report.poses, report.refused) } else { String::new() };
+    console::note(&format!("{} images, {} detections{poses}", report.images, report.detections));
+    Ok(())
+}

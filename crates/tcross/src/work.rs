@@ -1,0 +1,132 @@
+//! The stages as the program runs them: progress drawn, warnings said, Ctrl-C obeyed. Used by the single commands and by
+//! `reproduce` alike.
+use crate::{
+    config::Config,
+    console::{self, Progress},
+    exit::{Failure, Outcome},
+    nearest, stop,
+};
+use std::{path::Path, sync::atomic::Ordering};
+use tcross_datagen::{Backgrounds, DatagenError, GenerateOptions};
+use tcross_dataset::Dataset;
+use tcross_infer::{Boxes, RunReport, Source};
+use tcross_train::{End, RunSummary};
+
+/// The commit this program was built from.
+pub const COMMIT: &str = env!("TCROSS_COMMIT");
+
+/// The photos, or the embedded scenes, that a config names; unusable photos are warned of.
+pub fn backgrounds(config: &Config) -> Outcome<Backgrounds> {
+    let Some(dir) = &config.backgrounds else { return Ok(Backgrounds::embedded()) };
+    if !dir.is_dir() {
+        return Err(Failure::new(format!("{}: no such folder of backgrounds{}", dir.display(), nearest::path_hint(dir))));
+    }
+    let backgrounds = Backgrounds::open(dir)?;
+    for photo in backgrounds.skipped() {
+        console::warn(&format!("{photo}: skipped"));
+    }
+    Ok(backgrounds)
+}
+
+/// Generates a dataset.
+pub fn datagen(config: &Config, options: &GenerateOptions) -> Outcome<tcross_datagen::Summary> {
+    let backgrounds = backgrounds(config)?;
+    let mut bar = Progress::new("datagen", config.data.images);
+    let made = tcross_datagen::generate(&config.data, &backgrounds, options, &stop::flag(), &mut |p| bar.at(p.done, p.total, "images"));
+    drop(bar);
+    made.map_err(|e| match e {
+        DatagenError::Stopped => {
+            Failure::Interrupted { kept: format!("{} keeps what was finished; --resume goes on", options.out.display()) }
+        }
+        other => other.into(),
+    })
+}
+
+/// Trains a network.
+pub fn train(config: &Config, data: &Path, options: &tcross_train::RunOptions) -> Outcome<RunSummary> {
+    use tcross_train::Progress::{Epoch, Opened, Step, Validating, Warning};
+    let dataset = Dataset::open(data)?;
+    // Thousandths: the number of steps is not always known beforehand.
+    let mut bar = Progress::new("train", 1000);
+    let summary = tcross_train::fit(&config.train, &config.model, &dataset, options, &mut |news| match news {
+        Opened { train, val, parameters, memory, anchor_iou, step, .. } => {
+            let fit = anchor_iou.map_or(String::new(), |iou| format!(", anchors fit with IoU {iou:.2}"));
+            console::note(&format!("train: {train} images, {val} to validate, {parameters} parameters{fit}; memory: {memory}"));
+            if step > 0 {
+                console::note(&format!("train: goes on after step {step}"));
+            }
+        }
+        Step(s) => {
+            let left = s
+                .seconds_left
+                .map_or(String::new(), |t| format!(", {} left", console::seconds(std::time::Duration::from_secs_f64(t.max(0.0)))));
+            let parts = format!("box {:.2} objectness {:.2} class {:.2}", s.loss.center + s.loss.size, s.loss.objectness, s.loss.class);
+            let message = format!("epoch {:.1}: loss {:.2} ({parts}), {:.1} images/s{left}", s.epoch, s.loss.total(), s.images_per_second);
+            bar.at((s.fraction * 1000.0) as u64, 1000, &message);
+        }
+        Validating { .. } => {}
+        Epoch { row, best } => {
+            let score = |name: &str| row.columns().iter().find(|c| c.0 == name).and_then(|c| c.1).map_or("-".into(), |v| format!("{v:.3}"));
+            let mark = if best { " *" } else { "" };
+            console::note(&format!(
+                "epoch {:.1}: loss {:.2}, AP {}, AP50 {}, mean IoU {}, precision {}, recall {}{mark}",
+                row.epoch,
+                row.loss.total(),
+                score("val_ap"),
+                score("val_ap50"),
+                score("val_mean_iou"),
+                score("val_precision"),
+                score("val_recall")
+            ));
+        }
+        Warning(text) => console::warn(text),
+    })?;
+    drop(bar);
+    if summary.end == End::Interrupted {
+        let kept = format!("{} is saved after step {}; --resume goes on", options.out.display(), summary.steps);
+        return Err(Failure::Interrupted { kept });
+    }
+    Ok(summary)
+}
+
+/// Looks at every image of a source; `show` gets each line of detections.
+pub fn infer(
+    boxes: &mut Boxes,
+    source: &Source,
+    config: &tcross_infer::Config,
+    options: &tcross_infer::RunOptions,
+    mut show: impl FnMut(&tcross_dataset::ImageDetections),
+) -> Outcome<RunReport> {
+    let mut bar = Progress::new("infer", source.items.len() as u64);
+    let stop = stop::flag();
+    let report = tcross_infer::run(boxes, source, config, options, &mut |news| {
+        match news {
+            tcross_infer::Progress::Done { images, of, line } => {
+                let ms = line.ms.unwrap_or_default();
+                bar.at(images as u64, of as u64, &format!("{:.1} ms network, {:.1} ms pose", ms.network, ms.pose.unwrap_or(0.0)));
+                show(line);
+            }
+            tcross_infer::Progress::Skipped { warning } => console::warn(&format!("skipped {warning}")),
+        }
+        !stop.load(Ordering::Relaxed)
+    })?;
+    drop(bar);
+    if report.stopped {
+        return Err(Failure::Interrupted { kept: format!("{} of {} images are done", report.images, source.items.len()) });
+    }
+    Ok(report)
+}
+
+/// What a training's log and a report say of the machine and the program.
+pub fn provenance() -> Vec<(String, String)> {
+    let cpu = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let cpu = cpu.lines().find_map(|l| l.strip_prefix("model name")).map(|l| l.trim_start_matches([' ', '\t', ':']));
+    [
+        ("program", format!("tcross {} ({COMMIT})", env!("CARGO_PKG_VERSION"))),
+        ("system", format!("{} {}", std::env::consts::OS, std::env::consts::ARCH)),
+        ("cpu", cpu.unwrap_or("unknown").to_owned()),
+        ("threads", rayon::current_num_threads().to_string()),
+    ]
+    .map(|(k, v)| (k.to_owned(), v))
+    .to_vec()
+}

@@ -1,0 +1,111 @@
+#!/usr/bin/env python3
+"""Times one image through T-cross, ONNX Runtime, OpenCV's Darknet importer and PyTorch, taking turns image by image in one run.
+
+    cargo build --release -p tcross-yolo -p tcross --examples
+    python3 scripts/bench-infer.py [--rounds 30] [--only yolov3-tiny]
+
+Needs `pip install torch onnx onnxruntime "opencv-python-headless<5"`; a peer that is not installed is left out, with a line saying so.
+Networks and input are identical (416 x 416, 80 classes); every engine folds batch norm itself. OpenCV's time includes its box decoding,
+which cannot be taken out. Each contender has a process of its own and waits while another runs.
+"""
+import argparse, os, statistics, subprocess, sys, tempfile
+
+HERE = os.path.dirname(os.path.abspath(__file__))
+ROOT = os.path.dirname(HERE)
+CASES = [("yolov3-tiny", "tiny", 1.0), ("yolov3", "full", 0.25), ("yolov3", "full", 1.0)]
+
+
+def serve(run):
+    import time
+    print("ready 0", flush=True)
+    for line in sys.stdin:
+        if line.strip() == "end":
+            break
+        start = time.perf_counter()
+        run()
+        print(f"{time.perf_counter() - start:.6f}", flush=True)
+
+
+def worker(engine, name, width, threads, scratch):
+    import numpy as np
+    x = np.random.default_rng(0).random((1, 3, 416, 416), dtype=np.float32)
+    if engine == "opencv":
+        import cv2
+        cv2.setNumThreads(threads)
+        net = cv2.dnn.readNetFromDarknet(f"{scratch}/model.cfg", f"{scratch}/model.weights")
+        outputs = net.getUnconnectedOutLayersNames()
+        return serve(lambda: (net.setInput(x), net.forward(outputs)))
+    import torch
+    sys.path.insert(0, os.path.join(HERE, "peers"))
+    from yolov3_torch import build
+    torch.set_num_threads(threads)
+    model, t = build(name, width).eval(), torch.from_numpy(x)
+    if engine == "onnxruntime":
+        import onnxruntime
+        path = os.path.join(scratch, f"{name}-{width}.onnx")
+        with torch.no_grad():
+            torch.onnx.export(model, (t,), path, opset_version=13, dynamo=False, input_names=["x"])
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = threads
+        session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+        return serve(lambda: session.run(None, {"x": x}))
+    model, t = model.to(memory_format=torch.channels_last), t.to(memory_format=torch.channels_last)
+    with torch.inference_mode():
+        serve(lambda: model(t))
+
+
+class Contender:
+    def __init__(self, name, command, env):
+        self.name, self.times = name, []
+        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env)
+        line = "x"
+        while line and not line.startswith("ready"):
+            line = self.process.stdout.readline()
+        self.alive = bool(line)
+        if not self.alive:
+            print(f"  {name} is left out: {self.process.stderr.read().strip().splitlines()[-1:]}")
+
+    def step(self):
+        self.process.stdin.write("go\n")
+        self.process.stdin.flush()
+        return float(self.process.stdout.readline())
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--rounds", type=int, default=30)
+    parser.add_argument("--threads", type=int, default=os.cpu_count())
+    parser.add_argument("--only")
+    parser.add_argument("--peak", type=float, default=204.0, help="multiply-add peak of all threads, GFLOP/s")
+    parser.add_argument("--worker", nargs=4)
+    args = parser.parse_args()
+    if args.worker:
+        engine, name, width, scratch = args.worker
+        return worker(engine, name, float(width), args.threads, scratch)
+    env = {**os.environ, "OMP_NUM_THREADS": str(args.threads), "RAYON_NUM_THREADS": str(args.threads)}
+    for architecture, peer, width in CASES:
+        if args.only and architecture != args.only:
+            continue
+        with tempfile.TemporaryDirectory() as scratch:
+            # The Darknet files of the very network that T-cross runs.
+            ours = os.path.join(ROOT, "target/release/examples")
+            subprocess.run([f"{ours}/export_darknet", architecture, str(width), scratch], check=True)
+            me = [sys.executable, __file__, "--threads", str(args.threads), "--worker"]
+            contenders = [Contender("T-cross", [f"{ours}/bench_frame", architecture, str(width)], env)]
+            contenders += [Contender(engine, [*me, engine, peer, str(width), scratch], env) for engine in ("onnxruntime", "opencv", "torch")]
+            contenders = [c for c in contenders if c.alive]
+            for c in contenders * 3:
+                c.step()
+            for _ in range(args.rounds):
+                for c in contenders:
+                    c.times.append(c.step())
+            mine = statistics.median(contenders[0].times)
+            print(f"{architecture} x {width}")
+            for c in contenders:
+                c.process.communicate("end\n")
+                t = statistics.median(c.times)
+                print(f"  {c.name:14} {1e3 * t:8.1f} ms  T-cross is x{t / mine:4.2f} as fast", flush=True)
+
+
+if __name__ == "__main__":
+    main()

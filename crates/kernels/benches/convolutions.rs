@@ -1,5 +1,6 @@
 //! `cargo bench -p tcross-kernels --bench convolutions`: every convolution of YOLOv3 x 0.25 (or `-- WIDTH BATCH`), forward, gradient of the
 //! input and of the weights, in GFLOP/s and as a share of the multiply-add peak measured in the same run.
+#![allow(clippy::print_stdout)]
 use std::{hint::black_box, time::Instant};
 use tcross_kernels::{ConvShape, Isa, conv, pack, simd, weight_gradient::weight_gradient};
 

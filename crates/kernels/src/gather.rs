@@ -85,6 +85,13 @@ unsafe impl Send for SharedMut {}
 // SAFETY: as above.
 unsafe impl Sync for SharedMut {}
 
+impl SharedMut {
+    /// The address `offset` floats on. (A method, so that closures capture the whole, which may cross threads, and not the bare pointer.)
+    pub fn at(&self, offset: usize) -> *mut f32 {
+        self.0.wrapping_add(offset)
+    }
+}
+
 thread_local! {
     static SCRATCH: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
     /// Where the pixels of a band are read and written.
@@ -243,7 +250,7 @@ impl Gather<'_> {
                 runs,
                 run_len,
                 band: band.as_ptr(),
-                out: out.0.wrapping_add(image * out_rows * out_columns * channels),
+                out: out.at(image * out_rows * out_columns * channels),
                 residual_offset: image * out_rows * out_columns * channels,
                 weights: group.weights,
                 panels: part * count / parts..(part + 1) * count / parts,

@@ -58,7 +58,7 @@ fn pixels_per_task(channels: usize) -> usize {
 /// `out = leaky(z * scale + shift) (+ residual)`, all `[pixels, channels]`.
 pub fn activate(isa: Isa, z: &[f32], activation: Activation, residual: Option<&[f32]>, out: &mut [f32]) {
     let channels = activation.scale.len();
-    assert!(z.len() == out.len() && z.len() % channels == 0 && residual.is_none_or(|r| r.len() == z.len()));
+    assert!(z.len() == out.len() && z.len().is_multiple_of(channels) && residual.is_none_or(|r| r.len() == z.len()));
     let chunk = pixels_per_task(channels) * channels;
     out.par_chunks_mut(chunk).enumerate().for_each(|(i, out)| {
         let range = i * chunk..i * chunk + out.len();
@@ -72,7 +72,7 @@ pub(crate) fn activate_row(isa: Isa, from: &[f32], activation: Activation, to: &
 }
 
 fn row(isa: Isa, from: &[f32], a: Activation, residual: Option<&[f32]>, to: &mut [f32]) {
-    assert!(from.len() == to.len() && a.scale.len() == a.shift.len() && from.len() % a.scale.len() == 0);
+    assert!(from.len() == to.len() && a.scale.len() == a.shift.len() && from.len().is_multiple_of(a.scale.len()));
     assert!(residual.is_none_or(|r| r.len() == from.len()));
     dispatch!(isa.dividing(a.scale.len()), row_body::<S>(from: &[f32], a: Activation, residual: Option<&[f32]>, to: &mut [f32]))
 }
@@ -117,7 +117,7 @@ pub struct NormGradients {
 /// statistics were constants (running ones), so no gradient flows through them.
 pub fn backward(isa: Isa, gradient: &[f32], affine: &Affine, slope: f32, frozen: bool, z: &mut [f32]) -> NormGradients {
     let channels = affine.scale.len();
-    assert!(gradient.len() == z.len() && z.len() % channels == 0);
+    assert!(gradient.len() == z.len() && z.len().is_multiple_of(channels));
     let chunk = pixels_per_task(channels) * channels;
     // Sums of g' and g' * z a channel, in f32 over a task and f64 over tasks, in their order.
     let parts: Vec<Vec<f32>> = gradient
@@ -157,11 +157,10 @@ pub fn backward(isa: Isa, gradient: &[f32], affine: &Affine, slope: f32, frozen:
     let tasks = z.len().div_ceil(chunk);
     let len = z.len();
     (0..tasks).into_par_iter().for_each(|i| {
-        let to = to;
         let range = i * chunk..((i + 1) * chunk).min(len);
         // SAFETY: tasks take disjoint ranges of `z`, which outlives them.
         #[allow(unsafe_code)]
-        let z = unsafe { std::slice::from_raw_parts_mut(to.0.add(range.start), range.len()) };
+        let z = unsafe { std::slice::from_raw_parts_mut(to.at(range.start), range.len()) };
         backward_apply(isa, &gradient[range], affine, slope, &lines, z);
     });
     gradients

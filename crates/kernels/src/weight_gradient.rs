@@ -65,9 +65,8 @@ pub fn weight_gradient(isa: Isa, shape: &ConvShape, x: &[f32], activation: Optio
         let groups = panels.min(4 * rayon::current_num_threads()).min(panels.div_ceil(2).max(1)).max(1);
         let to = SharedMut(sums.as_mut_ptr());
         (0..groups).into_par_iter().with_max_len(1).for_each(|g| {
-            let to = to;
             for unit in 0..units {
-                job.add(unit / bands, unit % bands, g * panels / groups..(g + 1) * panels / groups, to);
+                job.add(unit / bands, unit % bands, g * panels / groups..(g + 1) * panels / groups, SharedMut(to.at(0)));
             }
         });
     }
@@ -147,7 +146,7 @@ impl Job<'_> {
                     dz_pitch: if in_place { cout } else { self.width },
                     width: self.width,
                     one_vector: lanes <= self.width / 2,
-                    sums: SharedMut(sums.0.wrapping_add(p * inputs * self.width)),
+                    sums: SharedMut(sums.at(p * inputs * self.width)),
                 };
                 run_outer(self.isa, &outer);
             }
@@ -249,10 +248,10 @@ unsafe fn outer_tile<S: Simd, const M: usize, const V: usize>(outer: &Outer, tap
                 for (v, g) in dv.iter_mut().enumerate() {
                     *g = S::load(d.add(v * S::LANES));
                 }
-                for m in 0..M {
+                for (m, row) in acc.iter_mut().enumerate() {
                     let b = S::splat(*x.add(m));
-                    for v in 0..V {
-                        acc[m][v] = S::fma(b, dv[v], acc[m][v]);
+                    for (a, g) in row.iter_mut().zip(dv) {
+                        *a = S::fma(b, g, *a);
                     }
                 }
                 d = d.add(outer.dz_pitch);

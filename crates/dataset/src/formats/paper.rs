@@ -81,7 +81,7 @@ fn record(line: &str, names: &[String]) -> Result<Record, String> {
             with_geometry(marker(&numbers[..5])?, Quad([point(0), point(1), point(2), point(3)]), Some([numbers[5], numbers[6]]));
         real.angle = Some(numbers[7]);
         record.markers.push(real);
-    } else if numbers.len() % 5 == 0 {
+    } else if numbers.len().is_multiple_of(5) {
         record.markers = numbers.chunks(5).map(marker).collect::<Result<_, _>>()?;
     } else {
         return Err(format!("{} numbers after the size; expected five a marker, or the 16 of a tagged photo", numbers.len()));

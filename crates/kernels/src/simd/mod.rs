@@ -79,7 +79,7 @@ impl Isa {
     /// The widest set of this machine, not above `self`, whose vectors divide `channels`; channels must be a multiple of 8.
     #[must_use]
     pub(crate) fn dividing(self, channels: usize) -> Self {
-        if self == Self::Avx512 && channels % 16 != 0 { Self::Avx2 } else { self }
+        if self == Self::Avx512 && !channels.is_multiple_of(16) { Self::Avx2 } else { self }
     }
 }
 

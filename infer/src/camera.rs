@@ -305,7 +305,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_seen_square_is_put_back(roll in 0.0..6.28f64, tilt in 0.05..1.2f64, axis in 0.0..6.28f64, x in -0.3..0.3f64, y in -0.2..0.2f64, z in 0.6..6.0f64) {
+        fn a_seen_square_is_put_back(roll in 0.0..std::f64::consts::TAU, tilt in 0.05..1.2f64, axis in 0.0..std::f64::consts::TAU, x in -0.3..0.3f64, y in -0.2..0.2f64, z in 0.6..6.0f64) {
             let camera = camera();
             let direction = Vector3::new(axis.cos(), axis.sin(), 0.0);
             let rotation = (Rotation3::from_scaled_axis(direction * tilt) * Rotation3::from_scaled_axis(Vector3::z() * roll)).into_inner();

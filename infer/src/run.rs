@@ -11,7 +11,7 @@ use std::{
     collections::BTreeMap,
     fs::File,
     io::{BufWriter, Write},
-    path::PathBuf,
+    path::{Path, PathBuf},
     sync::mpsc::sync_channel,
     time::Instant,
 };
@@ -254,7 +254,7 @@ struct Sink {
 }
 
 impl Sink {
-    fn create(path: &PathBuf) -> Result<Self, InferError> {
+    fn create(path: &Path) -> Result<Self, InferError> {
         let mut name = path.file_name().unwrap_or_default().to_owned();
         name.push(".partial");
         let partial = path.with_file_name(name);

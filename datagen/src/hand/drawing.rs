@@ -194,7 +194,7 @@ impl Hand<'_> {
         let normal = [-d[1] / length, d[0] / length];
         let hand = nature.hand * self.wobble * length;
         let waves: [(f64, f64); 4] = std::array::from_fn(|k| (rng.normal() / (k + 1) as f64, rng.uniform(-0.4, 0.4)));
-        let tremor = (rng.normal() * 0.08, rng.uniform(9.0, 16.0), rng.uniform(0.0, 6.28));
+        let tremor = (rng.normal() * 0.08, rng.uniform(9.0, 16.0), rng.uniform(0.0, std::f64::consts::TAU));
         let (thin, pool) = (rng.uniform(0.0, 0.22) * nature.hand, rng.uniform(0.0, 0.3) * nature.hand);
         let uneven = f64::from(nature.uneven);
         let strength = f64::from(nature.density) * (1.0 + uneven * rng.normal() * 0.5).clamp(0.6, 1.4);
@@ -210,7 +210,7 @@ impl Hand<'_> {
                     .enumerate()
                     .map(|(n, (size, bend))| size * libm::sin(pi * (n + 1) as f64 * (t + bend * t * (1.0 - t))))
                     .sum();
-                let shake = tremor.0 * libm::sin(tremor.1 * t * 6.28 + tremor.2) * window.min(1.0);
+                let shake = tremor.0 * libm::sin(tremor.1 * t * std::f64::consts::TAU + tremor.2) * window.min(1.0);
                 let off = hand * (wave + shake);
                 let speed = window.max(0.0).sqrt();
                 let gap_here = gap.is_some_and(|(at, wide)| (t - at).abs() < wide);

@@ -251,8 +251,8 @@ mod tests {
         Stance {
             side_px: rng.log_uniform(8.0, 300.0),
             tilt: rng.uniform(0.0, 1.3),
-            azimuth: rng.uniform(0.0, 6.28),
-            roll: rng.uniform(0.0, 6.28),
+            azimuth: rng.uniform(0.0, std::f64::consts::TAU),
+            roll: rng.uniform(0.0, std::f64::consts::TAU),
             half: [0.55, 0.4545],
             bend: (rng.uniform(-0.5, 0.5), rng.uniform(0.0, 3.0)),
             may_be_cut: rng.chance(0.2),

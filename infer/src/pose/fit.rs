@@ -134,8 +134,8 @@ mod tests {
         constraints.push(Constraint { at: [50.0, 95.0], corners: (2, 3), outline: true, weight: 1.0 });
         let start = truth.map(|p| [p[0] + 1.5, p[1] - 1.0]);
         let got = fit(start, &constraints).unwrap();
-        for k in 0..4 {
-            assert!(distance(got.corners[k], truth[k]) < 1e-3, "{:?}", got.corners);
+        for (corner, truth) in got.corners.iter().zip(truth) {
+            assert!(distance(*corner, truth) < 1e-3, "{:?}", got.corners);
         }
         let c = center_covariance(&got.corners, &got.covariance).unwrap();
         assert!(c[0] > 0.0 && c[2] > 0.0 && c[0] * c[2] > c[1] * c[1]);

@@ -135,7 +135,7 @@ pub fn run(
     progress: &mut dyn FnMut(Progress) -> bool,
 ) -> Result<RunReport, InferError> {
     config.validate()?;
-    let mut sink = options.out.as_ref().map(Sink::create).transpose()?;
+    let mut sink = options.out.as_deref().map(Sink::create).transpose()?;
     let replacement = options.replace.as_ref().map(|p| read_image(p)).transpose()?;
     if let Some(dir) = &options.overlay {
         files::create_dir(dir)?;
@@ -262,7 +262,7 @@ impl Sink {
             files::create_dir(parent)?;
         }
         let file = File::create(&partial).map_err(|e| InferError::io(&partial, e))?;
-        Ok(Self { partial, path: path.clone(), file: BufWriter::new(file) })
+        Ok(Self { partial, path: path.to_owned(), file: BufWriter::new(file) })
     }
 
     fn write(&mut self, line: &ImageDetections) -> Result<(), InferError> {

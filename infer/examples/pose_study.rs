@@ -16,7 +16,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let value = |name: &str| args.iter().position(|a| a == name).and_then(|i| args.get(i + 1)).cloned();
     if args.iter().any(|a| a == "--help") {
-        println!("pose_study [--images N] [--backgrounds DIR] [--jitter SHARE] [--method model|paper|both] [--failures DIR]");
+        println!("pose_study [--images N] [--backgrounds DIR] [--jitter SHARE] [--method model|paper|both] [--failures DIR] [--empty N]");
         return Ok(());
     }
     let images: u64 = value("--images").map_or(Ok(300), |v| v.parse())?;
@@ -68,6 +68,25 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             }
             trials.push(trial);
         }
+    }
+    let empty: u64 = value("--empty").map_or(Ok(0), |v| v.parse())?;
+    for method in methods.iter().filter(|_| empty > 0) {
+        let config = Config { method: *method, ..Config::default() };
+        let mut refused = 0;
+        let mut qualities = Vec::new();
+        for index in 0..empty {
+            let mut rng = Rng::for_item(14, "study/empty", index);
+            let image = background(&photos, &mut rng);
+            let (w, h) = (rng.log_uniform(24.0, 400.0), rng.log_uniform(24.0, 400.0));
+            let (w, h) = (w.max(h / 2.5), h.max(w / 2.5));
+            let (x, y) = (rng.uniform(0.0, 1280.0 - w), rng.uniform(0.0, 720.0 - h));
+            match pose::recover(&image, &[x, y, x + w, y + h].into(), &config) {
+                PoseOutcome::Refused { .. } => refused += 1,
+                PoseOutcome::Found(p) => qualities.push(p.quality),
+            }
+        }
+        qualities.sort_by(f64::total_cmp);
+        println!("{method:?}: {refused} of {empty} boxes without a marker refused; qualities of the others {qualities:.2?}");
     }
     for (method, trials) in methods.iter().zip(&trials) {
         println!("{method:?}\n{}", Marks::of(trials));

@@ -45,6 +45,7 @@ impl Config {
         share("infer.nms", self.nms)?;
         share("infer.overlay_score", self.overlay_score)?;
         share("infer.recovery.padding", self.recovery.padding)?;
+        share("infer.recovery.min_quality", self.recovery.min_quality)?;
         if self.most == 0 {
             return Err(InferError::Value { key: "infer.most", found: "0".into(), allowed: "1 or more" });
         }

@@ -176,6 +176,9 @@ pub fn run(
             if config.pose {
                 add_poses(&image, &mut found, config, options);
             }
+            if let Some(dir) = &options.steps {
+                write_steps(dir, item, &image, &found, config)?;
+            }
             let pose_ms = config.pose.then(|| ms_since(start));
             for outcome in found.iter().filter_map(|d| d.pose.as_ref()) {
                 match outcome {
@@ -228,6 +231,27 @@ pub fn add_poses(image: &RgbImage, found: &mut [Detection], config: &Config, opt
         }
         detection.pose = Some(outcome);
     }
+}
+
+/// Writes the pictures of the paper's steps, a folder for each detection: `DIR/NAME-0/1-crop.png`.
+fn write_steps(dir: &std::path::Path, item: &Item, image: &RgbImage, found: &[Detection], config: &Config) -> Result<(), InferError> {
+    for (index, detection) in found.iter().enumerate() {
+        let stem = overlay_name(&item.name).with_extension("");
+        let folder = dir.join(format!("{}-{index}", stem.to_string_lossy()));
+        files::create_dir(&folder)?;
+        let mut result = Ok(());
+        let mut write = |name: &'static str, picture: RgbImage| {
+            let path = folder.join(name).with_extension("png");
+            let broken = |e: image::ImageError| InferError::Picture { path: path.clone(), message: e.to_string() };
+            if let (Ok(()), Err(error)) = (&result, picture.save(&path).map_err(broken)) {
+                result = Err(error);
+            }
+        };
+        // A refusal ends the pictures at the step that failed.
+        let _ = pose::paper::recover(image, &detection.bounds, &config.recovery, Some(&mut write));
+        result?;
+    }
+    Ok(())
 }
 
 fn ms_since(start: Instant) -> f64 {

@@ -57,6 +57,8 @@ pub struct Marks {
     pub corner: [f64; 2],
     pub wrong: f64,
     pub coverage: f64,
+    pub mahalanobis95: f64,
+    pub quality: [f64; 2],
     pub ms: [f64; 2],
     pub ms_small: f64,
 }
@@ -81,6 +83,9 @@ impl Marks {
             wrong: share(&|t| t.angle_deg > 45.0),
             // 5.991: the 95 % quantile of chi squared with two degrees of freedom.
             coverage: share(&|t| t.mahalanobis <= 5.991),
+            mahalanobis95: quantile(found.iter().map(|t| t.mahalanobis).collect(), 0.95),
+            quality: [0.02, 0.1]
+                .map(|p| quantile(found.iter().map(|t| if let PoseOutcome::Found(p) = &t.outcome { p.quality } else { 0.0 }).collect(), p)),
             ms: [0.5, 0.99].map(|p| quantile(trials.iter().map(|t| t.ms).collect(), p)),
             ms_small: quantile(trials.iter().filter(|t| t.width_px <= 200.0).map(|t| t.ms).collect(), 0.5),
         }
@@ -96,6 +101,8 @@ impl fmt::Display for Marks {
         writeln!(f, "  corners median, p95    {:8.2} {:8.2} % of the side", self.corner[0], self.corner[1])?;
         writeln!(f, "  wrong orientation      {:8.2} %", 100.0 * self.wrong)?;
         writeln!(f, "  95 % ellipse holds     {:8.2} %", 100.0 * self.coverage)?;
+        writeln!(f, "  Mahalanobis p95        {:8.2} (5.99 is calibrated)", self.mahalanobis95)?;
+        writeln!(f, "  quality p2, p10        {:8.2} {:8.2}", self.quality[0], self.quality[1])?;
         write!(f, "  time    median, p99    {:8.3} {:8.3} ms (to 200 px: {:.3})", self.ms[0], self.ms[1], self.ms_small)
     }
 }

@@ -9,7 +9,7 @@ use super::{
 use tcross_dataset::Homography;
 
 /// Stations along a half diagonal.
-const STATIONS: usize = 16;
+pub const STATIONS: usize = 16;
 /// Samples across it at each station.
 const ACROSS: usize = 23;
 /// Stations lie between these shares of the half diagonal: clear of the other arms and of the outline.

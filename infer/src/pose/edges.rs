@@ -79,11 +79,16 @@ fn median(colours: &[Colour]) -> Colour {
 
 /// Where a profile steps from fill to surroundings, in samples from its start, and how clearly; `None` without a step.
 fn step_position(profile: &[Colour; SAMPLES], fill: Colour) -> Option<(f64, f64)> {
-    let around = mean(&profile[SAMPLES - THIRD..]);
-    let own = mean(&profile[..THIRD]);
+    let apart = |a: Colour, b: Colour| product(minus(a, b), minus(a, b)).sqrt();
     // Light changes along a side, so a profile's own inside is the better reference unless an arm or a hole lies there.
-    let (direction, drift) = (minus(fill, around), minus(own, fill));
-    let fill = if product(drift, drift) < 0.15 * product(direction, direction) { own } else { fill };
+    let own = mean(&profile[..THIRD]);
+    let outer = apart(mean(&profile[SAMPLES - THIRD..]), fill);
+    let fill = if apart(own, fill) < 0.35 * outer { own } else { fill };
+    // The first place from which the colour stays away from the fill: whatever lies behind it is clutter.
+    let limit = (0.05 * product(fill, fill).sqrt() + 0.012).max(0.25 * outer);
+    let away = |j: usize| apart(profile[j], fill) > limit;
+    let first = (0..SAMPLES - 2).find(|j| away(*j) && away(j + 1) && away(j + 2)).filter(|j| *j >= 4)?;
+    let around = mean(&profile[(first + 3).min(SAMPLES - 3)..(first + 3 + THIRD).min(SAMPLES)]);
     let direction = minus(fill, around);
     let contrast = product(direction, direction);
     if contrast < LEAST_CONTRAST {
@@ -95,10 +100,9 @@ fn step_position(profile: &[Colour; SAMPLES], fill: Colour) -> Option<(f64, f64)
         sums[j + 1] = sums[j] + (product(minus(profile[j], around), direction) / contrast).clamp(-0.5, 1.5);
     }
     let mean_of = |from: usize, to: usize| (sums[to] - sums[from]) / (to - from) as f32;
-    // The clearest step between the means of the samples before and after it; nearer to the expected place is likelier.
+    // The clearest step between the means of the samples before and after it, near that place.
     let height = |j: usize| mean_of(j.saturating_sub(THIRD), j) - mean_of(j, (j + THIRD).min(SAMPLES));
-    let score = |j: usize| height(j) - 0.3 * ((j as f32 - SAMPLES as f32 / 2.0) / SAMPLES as f32).powi(2);
-    let best = (3..SAMPLES - 2).max_by(|a, b| score(*a).total_cmp(&score(*b)))?;
+    let best = (first.saturating_sub(2).max(3)..(first + THIRD).min(SAMPLES - 2)).max_by(|a, b| height(*a).total_cmp(&height(*b)))?;
     // An ideal step with the same levels and the same area under it: exact for any symmetric blur within the window.
     let half = THIRD.min(best).min(SAMPLES - best);
     let (from, to) = (best - half, best + half);

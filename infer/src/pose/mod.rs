@@ -4,6 +4,7 @@ pub mod crop;
 pub mod edges;
 pub mod fit;
 pub mod model;
+pub mod paper;
 pub mod plane;
 pub mod quad;
 mod refusal;
@@ -37,11 +38,13 @@ pub struct Config {
     pub padding: f64,
     /// Boxes with a shorter side below this many pixels are refused.
     pub min_side_px: f64,
+    /// Poses of a lower quality are refused, 0..1.
+    pub min_quality: f64,
 }
 
 impl Default for Config {
     fn default() -> Self {
-        Self { method: Method::Model, padding: 0.22, min_side_px: 8.0 }
+        Self { method: Method::Model, padding: 0.22, min_side_px: 8.0, min_quality: 0.1 }
     }
 }
 
@@ -62,7 +65,7 @@ pub fn recover(image: &RgbImage, bounds: &PixelBox, config: &Config) -> PoseOutc
 pub fn try_recover(image: &RgbImage, bounds: &PixelBox, config: &Config) -> Result<Pose, Refusal> {
     match config.method {
         Method::Model => model::recover(image, bounds, config),
-        Method::Paper => model::recover(image, bounds, config),
+        Method::Paper => paper::recover(image, bounds, config, None),
     }
 }
 

@@ -10,6 +10,11 @@ use super::{
 use image::RgbImage;
 use tcross_dataset::{Homography, PixelBox, Pose, Quad, geom::quad::angle_deg};
 
+/// Neighbouring points of one stroke err together: so many of them count as one.
+const CORRELATION: f64 = 9.0;
+/// What a hand misses even where every stroke is straight, in sides (one deviation).
+const HAND: f64 = 0.0008;
+
 /// Recovers the pose of the T cross in `bounds` (pixels of `image`).
 ///
 /// # Errors
@@ -64,36 +69,83 @@ fn refine(picture: &Picture, first: [Point; 4], config: &Config) -> Result<Pose,
     if !quad::is_sound(&fitted.corners) {
         return Err(Refusal::NoOutline);
     }
-    judge(&fitted, &arms, outline.len(), config)?;
-    pose(&fitted, &arms)
+    let evidence = Evidence::of(&fitted, &arms, &outline);
+    evidence.check(&arms, config.min_quality)?;
+    pose(&fitted, &arms, evidence.quality())
 }
 
 fn outline_constraints(outline: &[EdgePoint]) -> Vec<Constraint> {
     outline.iter().map(|p| Constraint { at: p.at, corners: (p.side, (p.side + 1) % 4), outline: true, weight: p.weight }).collect()
 }
 
-fn judge(_fitted: &Fit, arms: &arms::Arms, _outline: usize, _config: &Config) -> Result<(), Refusal> {
-    if arms.presence.iter().filter(|p| **p > 0.35).count() < 3 || arms.likeness < 0.5 {
-        return Err(Refusal::NoCross);
-    }
-    if arms.separation < 3.0 {
-        return Err(Refusal::Ambiguous);
-    }
-    Ok(())
+/// Evidence for a T cross, each 0..1 and 1 where nothing is left to wish; the quality is their product.
+struct Evidence {
+    /// Share of the weakest side's outline that was seen and agrees with the others.
+    outline: f64,
+    /// How far the three lines stand out from the half diagonal without.
+    stem: f64,
+    /// How alike the three lines are in colour and in strength.
+    lines: f64,
+    /// How straight outline and lines are, against the side.
+    straight: f64,
+    /// Share of the stations at which a line was seen.
+    arms: f64,
 }
 
-fn pose(fitted: &Fit, arms: &arms::Arms) -> Result<Pose, Refusal> {
+impl Evidence {
+    fn of(fitted: &Fit, arms: &arms::Arms, outline: &[EdgePoint]) -> Self {
+        let seen = |k: usize| {
+            let weight: f64 = outline.iter().filter(|p| p.side == k).map(|p| p.weight).sum();
+            weight / edges::PROFILES as f64 * fitted.held[k]
+        };
+        let mut presence = arms.presence;
+        presence.sort_by(f64::total_cmp);
+        let side_px = Quad(fitted.corners).side_px();
+        // A pixel of raggedness is no fault of a small marker.
+        let ragged = |px: f64| 1.0 / (1.0 + ((px - 0.5).max(0.0) / (0.02 * side_px)).powi(2));
+        Self {
+            outline: ((0..4).map(seen).fold(1.0, f64::min) / 0.7).min(1.0),
+            stem: ((presence[1] - presence[0].max(-0.2)) / 0.7).clamp(0.0, 1.0),
+            lines: (arms.likeness.max(0.0) * (presence[1] / presence[3].max(1e-6)) / 0.6).clamp(0.0, 1.0),
+            straight: ragged(fitted.outline_px) * ragged(fitted.arms_px),
+            arms: (arms.points.len() as f64 / (0.9 * (3 * arms::STATIONS) as f64)).min(1.0),
+        }
+    }
+
+    fn quality(&self) -> f64 {
+        self.outline * self.stem * self.lines * self.straight * self.arms
+    }
+
+    /// The reason to refuse, if any.
+    fn check(&self, arms: &arms::Arms, least: f64) -> Result<(), Refusal> {
+        if self.lines * self.arms < 0.2 {
+            return Err(Refusal::NoCross);
+        }
+        if self.stem < 0.4 || arms.separation < 1.2 {
+            return Err(Refusal::Ambiguous);
+        }
+        if self.outline < 0.35 {
+            return Err(Refusal::Occluded);
+        }
+        if self.quality() < least { Err(Refusal::NoCross) } else { Ok(()) }
+    }
+}
+
+fn pose(fitted: &Fit, arms: &arms::Arms, quality: f64) -> Result<Pose, Refusal> {
     let corners: [Point; 4] = std::array::from_fn(|k| fitted.corners[(arms.stem + k) % 4]);
     let homography = Homography::from_unit_square(&corners).ok_or(Refusal::NoOutline)?;
     let center = homography.apply([0.5, 0.5]);
-    let covariance = fit::center_covariance(&fitted.corners, &fitted.covariance).ok_or(Refusal::NoOutline)?;
+    let side_px = Quad(corners).side_px();
+    let [xx, xy, yy] = fit::center_covariance(&fitted.corners, &fitted.covariance).ok_or(Refusal::NoOutline)?;
+    let hand = (HAND * side_px).powi(2);
+    let covariance = [CORRELATION * xx + hand, CORRELATION * xy, CORRELATION * yy + hand];
     Ok(Pose {
         center,
         corners: Quad(corners),
         angle: angle_deg(corners[0][0] - center[0], corners[0][1] - center[1]),
         homography,
         covariance,
-        quality: 1.0,
+        quality,
         rotation: None,
         translation: None,
         reprojection_px: None,

@@ -96,6 +96,42 @@ fn learn(bins: &[u16], roles: &Roles) -> Vec<f32> {
     marker.iter().zip(&around).map(|(m, a)| (m + UNSEEN / 2.0) / (m + a + UNSEEN)).collect()
 }
 
+/// Cells are marker where posterior, nearness to the box and likeness to the fill multiply to more than this.
+const LIKELY: f32 = 0.35;
+
+/// The fill: mean colour around the bin that marker cells fill most and surroundings least.
+fn commonest(view: &Coarse, bins: &[u16], table: &[f32], marker: &[f32]) -> Colour {
+    let mut counts = vec![0.0f32; BINS];
+    for (bin, weight) in bins.iter().zip(marker) {
+        counts[*bin as usize] += weight * table[*bin as usize];
+    }
+    smooth(&mut counts);
+    let peak = (0..BINS).max_by(|a, b| counts[*a].total_cmp(&counts[*b])).unwrap_or(0);
+    // Mean over the bins beside the peak.
+    let at = |bin: usize| [bin % CHROMA, bin / CHROMA % CHROMA, bin / (CHROMA * CHROMA)];
+    let middle = at(peak);
+    let (mut sum, mut total) = ([0.0f32; 3], 1e-6f32);
+    for ((bin, weight), cell) in bins.iter().zip(marker).zip(&view.cells) {
+        if *weight > 0.0 && at(*bin as usize).iter().zip(middle).all(|(a, b)| a.abs_diff(b) <= 1) {
+            total += weight;
+            (0..3).for_each(|k| sum[k] += weight * cell[k]);
+        }
+    }
+    sum.map(|v| v / total)
+}
+
+/// How well a colour passes for the fill in another light: 1 for the same, falling with the angle between the two colours
+/// and, more slowly, with the ratio of their brightness.
+fn likeness(colour: Colour, fill: Colour) -> f32 {
+    let product = |a: Colour, b: Colour| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    let (a, b) = (product(colour, colour).sqrt().max(0.02), product(fill, fill).sqrt().max(0.02));
+    let turn = (2.0 * (1.0 - (product(colour, fill) / (a * b)).min(1.0))).sqrt();
+    // Noise turns dark colours further.
+    let reach = 0.11 + 0.02 / a.min(b);
+    let light = (a / b).ln();
+    1.0 / (1.0 + (turn / reach).powi(4) + (light / 0.42).powi(4))
+}
+
 /// Sliding maximum (or minimum) over `2 * radius + 1` cells along one axis, cells outside counting as unmarked.
 fn slide(cells: &mut [bool], lines: usize, length: usize, line_step: usize, step: usize, radius: usize, grow: bool) {
     let mut line = vec![false; length];
@@ -124,7 +160,7 @@ fn slide(cells: &mut [bool], lines: usize, length: usize, line_step: usize, step
 }
 
 /// Grows (dilates) or shrinks (erodes) a mask by a square of `2 * radius + 1` cells.
-fn morph(mask: &mut Mask, radius: usize, grow: bool) {
+pub(super) fn morph(mask: &mut Mask, radius: usize, grow: bool) {
     let (w, h) = (mask.width, mask.height);
     slide(&mut mask.cells, h, w, w, 1, radius, grow);
     slide(&mut mask.cells, w, h, 1, w, radius, grow);
@@ -228,13 +264,14 @@ pub fn segment(view: &Coarse, bounds: &PixelBox) -> Mask {
     let outside: Vec<f32> = places.iter().map(|[u, v]| if u.max(*v) > 1.04 { 1.0 } else { 0.0 }).collect();
     // A detection's box is nearly right: what lies beyond it needs a clearer colour.
     let belief: Vec<f32> = places.iter().map(|[u, v]| (1.0 - 1.6 * (u.max(*v) - 1.08).max(0.0)).max(0.3)).collect();
-    let mut roles = Roles { marker: diamond.clone(), around: outside.clone() };
     let gap = ((w.min(h) as f32) * 0.045).round().max(1.0) as usize;
+    let mut roles = Roles { marker: diamond.clone(), around: outside.clone() };
     let mut mask = Mask { width: w, height: h, cells: vec![false; w * h] };
     for round in 0..2 {
         let table = learn(&bins, &roles);
-        let odds: Vec<f32> = bins.iter().zip(&belief).map(|(b, s)| table[*b as usize] * s).collect();
-        mask.cells = blur(&odds, w, h).into_iter().map(|v| v > 0.5).collect();
+        let fill = commonest(view, &bins, &table, &roles.marker);
+        let odds: Vec<f32> = (0..w * h).map(|i| table[bins[i] as usize] * belief[i] * likeness(view.cells[i], fill)).collect();
+        mask.cells = blur(&odds, w, h).into_iter().map(|v| v > LIKELY).collect();
         close(&mut mask, gap);
         morph(&mut mask, 1, false);
         keep_heaviest(&mut mask, &diamond);

@@ -79,7 +79,7 @@ fn poses_come_from_given_boxes_too() {
     let Some(PoseOutcome::Found(pose)) = outcome else { panic!("{outcome:?}") };
     assert!(pose.rotation.is_some() && pose.translation.unwrap()[2] > 0.0 && pose.reprojection_px.unwrap() < 1.0);
     std::fs::copy(dir.path().join("x.png"), dir.path().join("y.png")).unwrap();
-    let more = Source::open(&[dir.path()], None).unwrap();
+    let more = Source::open(&[dir.path().join("y.png")], None).unwrap();
     let error = run(&mut boxes, &more, &config, &RunOptions::default(), &mut |_| true).unwrap_err().to_string();
     assert!(error.contains("y.png") && error.contains("boxes.jsonl"), "{error}");
 }

@@ -1,4 +1,5 @@
 //! The pose's marks over many drawn markers at 1280x720: `cargo run --release -p tcross-infer --example pose_study -- --help`.
+#![allow(clippy::print_stdout)]
 #[path = "support/marks.rs"]
 mod marks;
 #[path = "../tests/integration/scene.rs"]

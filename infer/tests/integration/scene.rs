@@ -86,7 +86,7 @@ struct Wave([(f64, f64); 3]);
 
 impl Wave {
     fn new(rng: &mut Rng) -> Self {
-        Self(std::array::from_fn(|k| (rng.uniform(0.2, 0.6) / (k as f64 + 1.0), rng.uniform(0.0, 6.28))))
+        Self(std::array::from_fn(|k| (rng.uniform(0.2, 0.6) / (k as f64 + 1.0), rng.uniform(0.0, std::f64::consts::TAU))))
     }
     fn at(&self, t: f64) -> f64 {
         self.0.iter().enumerate().map(|(k, (a, p))| a * (3.0 * (k as f64 + 1.0) * t + p).sin()).sum()
@@ -97,7 +97,12 @@ impl Wave {
 pub fn draw(image: &mut RgbImage, style: &Style, rng: &mut Rng) -> Drawn {
     let (w, h) = (f64::from(image.width()), f64::from(image.height()));
     let tilt_deg = rng.uniform(style.tilt_deg.0, style.tilt_deg.1);
-    let unit = seen(rng.uniform(0.0, 6.2832), tilt_deg.to_radians(), rng.uniform(0.0, 6.2832), rng.uniform(0.9, 1.1));
+    let unit = seen(
+        rng.uniform(0.0, std::f64::consts::TAU),
+        tilt_deg.to_radians(),
+        rng.uniform(0.0, std::f64::consts::TAU),
+        rng.uniform(0.9, 1.1),
+    );
     let b = Quad(unit).bounds();
     let room = ((w - 8.0) / b.width()).min((h - 8.0) / b.height());
     let scale = (rng.log_uniform(style.width_px.0, style.width_px.1) / b.width()).min(room);
@@ -110,7 +115,7 @@ pub fn draw(image: &mut RgbImage, style: &Style, rng: &mut Rng) -> Drawn {
     let thickness = rng.uniform(0.03, 0.08).max(1.6 / Quad(corners).side_px());
     let drawn = Drawn { corners: Quad(corners), map, bounds: Quad(corners).bounds(), tilt_deg, blur_px };
     let waves: Vec<Wave> = (0..8).map(|_| Wave::new(rng)).collect();
-    let hatch = (rng.uniform(0.0, 0.12), rng.uniform(20.0, 50.0), rng.uniform(0.0, 6.28));
+    let hatch = (rng.uniform(0.0, 0.12), rng.uniform(20.0, 50.0), rng.uniform(0.0, std::f64::consts::TAU));
     let light = [rng.uniform(-0.3, 0.3), rng.uniform(-0.3, 0.3)];
     let back = map.inverse().expect("a homography of a sound quadrilateral");
     let unit_colour = |p: [f64; 2]| -> Option<[f64; 3]> {
@@ -131,7 +136,7 @@ pub fn draw(image: &mut RgbImage, style: &Style, rng: &mut Rng) -> Drawn {
         let stroke = 1.0 - hatch.0 * (hatch.1 * (u * hatch.2.cos() + v * hatch.2.sin())).sin().max(0.0);
         Some(if arm { line.map(|c| c * shade) } else { fill.map(|c| c * shade * stroke) })
     };
-    paint(image, &drawn, &unit_colour, rng.uniform(0.0, 6.2832));
+    paint(image, &drawn, &unit_colour, rng.uniform(0.0, std::f64::consts::TAU));
     if style.noise > 0.0 {
         for p in image.pixels_mut() {
             for c in &mut p.0 {

@@ -162,12 +162,14 @@ impl<'a> Session<'a> {
         let graph = network.graph()?;
         let identity = identity(config, &network, dataset, options.seed)?;
         let state_path = options.out.join("state/state.safetensors");
+        let mut start = None;
         let resumed =
             (options.resume && RunDir::is_taken(&options.out)).then(|| State::read(&state_path, &identity, &graph)).transpose()?;
         let state = match resumed {
             Some(state) => state,
             None => {
-                let weights = start_weights(config, &network, options.seed)?;
+                let (weights, source) = start_weights(config, &network, options.seed)?;
+                start = Some(source);
                 State { progress: state::Progress::start(identity), average: weights.clone(), weights, slots: Vec::new() }
             }
         };
@@ -201,6 +203,7 @@ impl<'a> Session<'a> {
             network,
         };
         session.describe_run(model, &memory)?;
+        start.iter().try_for_each(|source| session.run.log(&format!("weights: {source}")))?;
         Ok(session)
     }
 
@@ -474,19 +477,17 @@ fn describe(
     Ok((network, fit))
 }
 
-/// Random weights, or those of the file that training starts from.
-fn start_weights(config: &Config, network: &ModelConfig, seed: u64) -> Result<Weights, TrainError> {
+/// Random weights, or those of the file that training starts from; and in words, what they are.
+fn start_weights(config: &Config, network: &ModelConfig, seed: u64) -> Result<(Weights, String), TrainError> {
     let graph = network.graph()?;
     let init = Init { objectness_bias: config.objectness_bias as f32, class_bias: config.class_bias as f32, ..Init::default() };
     let mut weights = Weights::init(&graph, &network.fields(), &init, seed);
-    match &config.init {
-        Some(path) if Path::new(path).extension().is_some_and(|e| e == "safetensors") => weights = safetensors::read(path, &graph)?,
-        Some(path) => {
-            darknet::read_start(path, network, &mut weights)?;
-        }
-        None => {}
+    let Some(path) = &config.init else { return Ok((weights, format!("random, from seed {seed}"))) };
+    if Path::new(path).extension().is_some_and(|e| e == "safetensors") {
+        return Ok((safetensors::read(path, &graph)?, format!("all of {path}")));
     }
-    Ok(weights)
+    let loaded = darknet::read_start(path, network, &mut weights)?;
+    Ok((weights, format!("{} of {} convolutions from {path}, the others random from seed {seed}", loaded.convolutions, loaded.of)))
 }
 
 /// Everything that a resumed training must share with the one that was stopped, a line each: all settings but the lengths and those that

@@ -191,3 +191,25 @@ fn patience_and_the_clock_end_a_training() {
     assert!(summary.end == End::Finished && (1.2..10.0).contains(&summary.seconds), "{summary:?}");
     assert!(summary.history.rows.last().unwrap().rate < 0.1 * config.optimizer.rate);
 }
+
+/// The recipes that are shipped are valid, and say what they are to say.
+#[test]
+fn shipped_recipes_are_valid() {
+    #[derive(serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Recipe {
+        model: ModelSection,
+        train: Config,
+    }
+    let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs/recipes");
+    let read = |name: &str| -> Recipe {
+        let recipe: Recipe = toml::from_str(&std::fs::read_to_string(dir.join(name)).unwrap()).unwrap();
+        recipe.train.validate().unwrap();
+        recipe.model.validate().unwrap();
+        recipe
+    };
+    assert_eq!(std::fs::read_dir(&dir).unwrap().count(), 3);
+    assert_eq!(read("cpu.toml").model.width, 0.125);
+    assert_eq!(read("darknet.toml").train.batch, 64);
+    assert_eq!(read("paper.toml").train.freeze, Freeze::Backbone);
+}

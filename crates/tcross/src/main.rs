@@ -8,6 +8,10 @@ mod stages;
 mod stop;
 mod work;
 
+/// A training step takes and frees the same large buffers again and again.
+#[global_allocator]
+static POOL: tcross_kernels::allocator::Pool = tcross_kernels::allocator::Pool::new();
+
 fn main() -> std::process::ExitCode {
     exit::guard(cli::run)
 }

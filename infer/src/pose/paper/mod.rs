@@ -174,9 +174,9 @@ fn gaussian(grey: &Grey) -> Grey {
     let near = |v: usize, k: usize, limit: usize| (v + k).saturating_sub(5).min(limit - 1);
     let mut rows = vec![0.0f32; w * h];
     let mut out = vec![0u8; w * h];
-    for i in 0..w * h {
+    for (i, v) in rows.iter_mut().enumerate() {
         let (x, y) = (i % w, i / w);
-        rows[i] = (0..11).map(|k| kernel[k] * f32::from(grey.pixels[y * w + near(x, k, w)])).sum();
+        *v = (0..11).map(|k| kernel[k] * f32::from(grey.pixels[y * w + near(x, k, w)])).sum();
     }
     for (i, v) in out.iter_mut().enumerate() {
         let (x, y) = (i % w, i / w);

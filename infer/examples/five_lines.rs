@@ -1,4 +1,5 @@
 //! Detection and pose from another program: `cargo run --release -p tcross-infer --example five_lines -- RUN photo.jpg`.
+#![allow(clippy::print_stdout)]
 use tcross_infer::{Detector, pose, read_image};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

@@ -212,10 +212,10 @@ impl Gathering {
         self.set.splits.entry(split).or_default().push(item);
     }
 
-    /// The whole, each split in order of name.
+    /// The whole, each split in order of id: shorter names first, then by letters.
     pub(crate) fn finish(mut self) -> Labelled {
         for items in self.set.splits.values_mut() {
-            items.sort_by(|a, b| file_name(&a.record).cmp(file_name(&b.record)));
+            items.sort_by_cached_key(|i| (file_name(&i.record).len(), file_name(&i.record).to_owned()));
         }
         self.set
     }

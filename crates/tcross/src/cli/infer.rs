@@ -17,7 +17,7 @@ const EXAMPLE: &str = "infer runs/quickstart/run photos/ --out detections.jsonl 
 pub struct Args {
     /// MODEL: a run's folder, a .safetensors file with its model.toml, or a Darknet .cfg with its .weights beside it (left
     /// out with --boxes). INPUT: images, folders, or a dataset
-    #[arg(required = true, value_names = ["MODEL", "INPUT"], num_args = 1..)]
+    #[arg(required = true, value_name = "MODEL INPUT", num_args = 1..)]
     model_and_inputs: Vec<PathBuf>,
     /// Detections file to write; without it they go to stdout
     #[arg(long, value_name = "F.jsonl")]

@@ -5,7 +5,7 @@ use crate::{
 };
 use std::path::{Path, PathBuf};
 use tcross_datagen::Manifest;
-use tcross_dataset::{Dataset, digest, files, formats::Format, merge::merge};
+use tcross_dataset::{Dataset, Split, digest, files, formats::Format, merge::merge};
 
 pub const EXAMPLE: &str = "dataset merge shards/0 shards/1 shards/2 --out data/whole";
 
@@ -18,6 +18,7 @@ pub fn run(dirs: &[PathBuf], out: &Path) -> Outcome {
     let merged = merge(&sets)?;
     Format::Native.write(&merged, out)?;
     if let Some(whole) = whole(dirs)? {
+        write_lists(dirs, out)?;
         write_manifest(whole, out)?;
     }
     console::note(&format!("{}: {} images of {} datasets", out.display(), merged.records().count(), dirs.len()));
@@ -54,6 +55,22 @@ fn whole(dirs: &[PathBuf]) -> Outcome<Option<Manifest>> {
         *whole.counts.entry(split.clone()).or_default() += n;
     }
     Ok(Some(whole))
+}
+
+/// The lists of all shards line by line, so that every number keeps the digits it was written with.
+fn write_lists(dirs: &[PathBuf], out: &Path) -> Outcome {
+    for split in Split::ALL {
+        let name = format!("{split}.jsonl");
+        let texts: Vec<String> =
+            dirs.iter().map(|d| d.join(&name)).filter(|p| p.is_file()).map(files::read_text).collect::<Result<_, _>>()?;
+        // A line begins with the picture's name, and names are ids.
+        let mut lines: Vec<&str> = texts.iter().flat_map(|t| t.lines()).collect();
+        lines.sort_by_key(|line| (line.find(',').unwrap_or(0), *line));
+        if out.join(&name).is_file() {
+            files::write_atomically(out.join(&name), lines.iter().map(|l| format!("{l}\n")).collect::<String>())?;
+        }
+    }
+    Ok(())
 }
 
 fn write_manifest(mut manifest: Manifest, out: &Path) -> Outcome {

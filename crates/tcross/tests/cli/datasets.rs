@@ -1,0 +1,94 @@
+//! Datasets through the commands: generated, checked, described, converted, put together.
+use crate::{tcross, word};
+use std::path::Path;
+
+/// A small set of the smallest config.
+fn datagen(out: &Path, more: &[&str]) {
+    let mut words = vec!["datagen", "configs/ci.toml", "--images", "40", "--out"];
+    let out = word(out);
+    words.push(&out);
+    words.extend(more);
+    tcross(words).good();
+}
+
+/// Every file of a folder with its bytes, sorted.
+fn contents(dir: &Path) -> Vec<(String, Vec<u8>)> {
+    let mut files = Vec::new();
+    let mut folders = vec![dir.to_owned()];
+    while let Some(folder) = folders.pop() {
+        for path in std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()) {
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                files.push((word(path.strip_prefix(dir).unwrap()), std::fs::read(path).unwrap()));
+            }
+        }
+    }
+    files.sort();
+    files
+}
+
+#[test]
+fn shards_become_the_whole_and_are_what_they_were() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    datagen(&at("whole"), &[]);
+    for shard in ["0/3", "1/3", "2/3"] {
+        datagen(&at(&shard[..1]), &["--shard", shard, "--threads", "1"]);
+    }
+    let merge = |parts: &[&str], out: &str| {
+        let parts = parts.iter().map(|p| word(&at(p)));
+        tcross(["dataset".to_owned(), "merge".to_owned()].into_iter().chain(parts).chain(["--out".to_owned(), word(&at(out))]))
+    };
+    merge(&["0", "1", "2"], "merged").good();
+    let (whole, merged) = (contents(&at("whole")), contents(&at("merged")));
+    assert_eq!(whole.iter().map(|f| &f.0).collect::<Vec<_>>(), merged.iter().map(|f| &f.0).collect::<Vec<_>>());
+    for (a, b) in whole.iter().zip(&merged) {
+        assert!(a.1 == b.1, "{} differs:\n{}\n{}", a.0, String::from_utf8_lossy(&a.1), String::from_utf8_lossy(&b.1));
+    }
+    assert!(merge(&["0", "2"], "half").error(1).contains("shards 1/3 are missing"));
+    assert!(merge(&["0", "1", "2"], "merged").error(1).contains("is not empty"));
+
+    let verify = || tcross(["dataset".into(), "verify".into(), word(&at("merged"))]);
+    assert!(verify().good().stderr.contains("as they were written"));
+    let picture = at("merged/test/00009.jpg");
+    let mut bytes = std::fs::read(&picture).unwrap();
+    bytes.push(0);
+    // The picture may be another name of the shard's: it is replaced, not written into.
+    std::fs::remove_file(&picture).unwrap();
+    std::fs::write(&picture, bytes).unwrap();
+    assert!(verify().error(1).contains("test is not as it was written"));
+}
+
+#[test]
+fn a_set_is_checked_described_shown_and_converted() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| word(&dir.path().join(name));
+    datagen(&dir.path().join("set"), &[]);
+    assert!(tcross(["dataset", "check", &at("set")]).good().stderr.contains("nothing is wrong"));
+    let stats = tcross(["dataset", "stats", &at("set"), "--out", &at("stats")]).good();
+    assert!(stats.stdout.contains("images: 28 train, 8 val, 4 test") && stats.stdout.contains("short side"));
+    assert!(std::fs::read_to_string(at("stats/short-side.svg")).unwrap().starts_with("<svg"));
+    tcross(["dataset", "preview", &at("set"), "--split", "train", "--out", &at("sheet.png"), "--tile", "64"]).good();
+    assert_eq!(image::image_dimensions(at("sheet.png")).unwrap(), (6 * 68 + 4, 5 * 68 + 4));
+    for format in ["yolo", "yolo-pose", "coco", "voc", "paper"] {
+        tcross(["dataset", "convert", &at("set"), "--to", format, "--out", &at(format)]).good();
+        let back = format!("{format}-back");
+        tcross(["dataset", "convert", &at(format), "--to", "native", "--out", &at(&back)]).good();
+        let stats = tcross(["dataset", "stats", &at(&back)]).good().stdout;
+        assert!(stats.contains("images: 28 train, 8 val, 4 test"), "{format}: {stats}");
+        assert_eq!(stats.lines().nth(1), tcross(["dataset", "stats", &at("set")]).good().stdout.lines().nth(1), "{format}");
+    }
+    tcross(["dataset", "split", &at("set"), "--parts", "1:1:0", "--out", &at("dealt")]).good();
+    assert!(tcross(["dataset", "stats", &at("dealt")]).good().stdout.contains("images: 20 train, 20 val"));
+}
+
+#[test]
+fn what_is_wrong_is_listed() {
+    let dir = tempfile::tempdir().unwrap();
+    datagen(dir.path(), &[]);
+    std::fs::write(dir.path().join("val/00007.jpg"), "no picture").unwrap();
+    let ran = tcross(["dataset".into(), "check".into(), word(dir.path())]);
+    assert!(ran.stdout.contains("val/00007.jpg: unreadable image"), "{}", ran.stdout);
+    assert!(ran.error(1).contains("1 unreadable image"));
+}

@@ -11,9 +11,9 @@ use image::RgbImage;
 use tcross_dataset::{Homography, PixelBox, Pose, Quad, geom::quad::angle_deg};
 
 /// Neighbouring points of one stroke err together: so many of them count as one.
-const CORRELATION: f64 = 9.0;
+const CORRELATION: f64 = 19.0;
 /// What a hand misses even where every stroke is straight, in sides (one deviation).
-const HAND: f64 = 0.0008;
+const HAND: f64 = 0.0012;
 
 /// Recovers the pose of the T cross in `bounds` (pixels of `image`).
 ///

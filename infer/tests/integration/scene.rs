@@ -97,7 +97,12 @@ impl Wave {
 pub fn draw(image: &mut RgbImage, style: &Style, rng: &mut Rng) -> Drawn {
     let (w, h) = (f64::from(image.width()), f64::from(image.height()));
     let tilt_deg = rng.uniform(style.tilt_deg.0, style.tilt_deg.1);
-    let unit = seen(rng.uniform(0.0, std::f64::consts::TAU), tilt_deg.to_radians(), rng.uniform(0.0, std::f64::consts::TAU), rng.uniform(0.9, 1.1));
+    let unit = seen(
+        rng.uniform(0.0, std::f64::consts::TAU),
+        tilt_deg.to_radians(),
+        rng.uniform(0.0, std::f64::consts::TAU),
+        rng.uniform(0.9, 1.1),
+    );
     let b = Quad(unit).bounds();
     let room = ((w - 8.0) / b.width()).min((h - 8.0) / b.height());
     let scale = (rng.log_uniform(style.width_px.0, style.width_px.1) / b.width()).min(room);

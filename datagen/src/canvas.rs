@@ -25,11 +25,10 @@ impl Canvas {
     pub fn from_image(image: &RgbImage) -> Self {
         let table = linear_table();
         let (width, height) = (image.width() as usize, image.height() as usize);
-        let mut planes: [Vec<f32>; 3] = std::array::from_fn(|_| Vec::with_capacity(width * height));
-        for pixel in image.as_raw().as_chunks::<3>().0 {
-            for (plane, v) in planes.iter_mut().zip(pixel) {
-                plane.push(table[*v as usize]);
-            }
+        let mut planes: [Vec<f32>; 3] = std::array::from_fn(|_| vec![0.0; width * height]);
+        let [red, green, blue] = &mut planes;
+        for (((pixel, r), g), b) in image.as_raw().as_chunks::<3>().0.iter().zip(red).zip(green).zip(blue) {
+            (*r, *g, *b) = (table[pixel[0] as usize], table[pixel[1] as usize], table[pixel[2] as usize]);
         }
         Self { width, height, planes }
     }
@@ -42,7 +41,8 @@ impl Canvas {
         let mut raw = vec![0u8; self.width * self.height * 3];
         let [red, green, blue] = &self.planes;
         for (((out, r), g), b) in raw.as_chunks_mut::<3>().0.iter_mut().zip(red).zip(green).zip(blue) {
-            *out = [*r, *g, *b].map(|v| table[(v.clamp(0.0, 1.0) * top + 0.5) as usize]);
+            let stored = |v: f32| table[(v.clamp(0.0, 1.0) * top + 0.5) as usize];
+            *out = [stored(*r), stored(*g), stored(*b)];
         }
         RgbImage::from_raw(self.width as u32, self.height as u32, raw).unwrap_or_default()
     }

@@ -178,6 +178,8 @@ pub struct MarkersConfig {
     pub bent: f64,
     /// Curvature of bent sheets: side over radius.
     pub bend: Dist,
+    /// Width of the paper's margin around the marker, in sides; each of the four is 0.6 to 1.6 times this.
+    pub margin: Dist,
     /// What a marker is drawn on, by weight.
     pub surfaces: Weights<Surface>,
     /// What a fill is drawn with, by weight.
@@ -200,6 +202,7 @@ impl Default for MarkersConfig {
             occlusion: "85% 0, 15% 0.02..0.6".parse().unwrap_or_else(|_| Dist::constant(0.0)),
             bent: 0.3,
             bend: Dist::uniform(-0.5, 0.5),
+            margin: Dist::uniform(0.04, 0.5),
             surfaces: Surface::ALL.into_iter().map(|s| (s, if s == Surface::Photo { 2.0 } else { 1.0 })).collect(),
             media: even(&Medium::ALL),
             line_media: even(&[
@@ -392,6 +395,7 @@ impl Config {
         within("markers.roll_deg", &m.roll_deg, -360.0, 360.0)?;
         within("markers.occlusion", &m.occlusion, 0.0, 0.95)?;
         within("markers.bend", &m.bend, -1.0, 1.0)?;
+        within("markers.margin", &m.margin, 0.0, 3.0)?;
         weights("markers.shapes", &m.shapes)?;
         weights("markers.surfaces", &m.surfaces)?;
         weights("markers.media", &m.media)?;

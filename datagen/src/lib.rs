@@ -8,6 +8,7 @@
 //! println!("{} markers", made.manifest.markers);
 //! # Ok::<(), tcross_datagen::DatagenError>(())
 //! ```
+pub mod audit;
 pub mod background;
 pub mod canvas;
 pub mod color;
@@ -20,6 +21,7 @@ pub mod manifest;
 pub mod media;
 pub mod noise;
 pub mod paper;
+pub mod print;
 pub mod sample;
 pub mod shapes;
 pub mod stickers;
@@ -32,6 +34,7 @@ pub use dist::Dist;
 pub use error::DatagenError;
 pub use manifest::Manifest;
 pub use media::Medium;
+pub use print::MarkerSheet;
 pub use sample::{Sample, sample};
 pub use shapes::Shape;
 pub use surface::Surface;

@@ -63,7 +63,7 @@ impl Tile {
     #[must_use]
     #[inline]
     pub fn nearest(&self, x: f32, y: f32) -> f32 {
-        let (i, j) = ((x as i32) as usize & (SIDE - 1), (y as i32) as usize & (SIDE - 1));
+        let (i, j) = (floor(x) as usize & (SIDE - 1), floor(y) as usize & (SIDE - 1));
         self.0[j * SIDE + i]
     }
 
@@ -71,14 +71,22 @@ impl Tile {
     #[must_use]
     #[inline]
     pub fn smooth(&self, x: f32, y: f32) -> f32 {
-        let (fx, fy) = (x.floor(), y.floor());
-        let (u, v) = (x - fx, y - fy);
-        let (i, j) = (fx as i32 as usize & (SIDE - 1), fy as i32 as usize & (SIDE - 1));
+        let (fx, fy) = (floor(x), floor(y));
+        let (u, v) = (x - fx as f32, y - fy as f32);
+        let (i, j) = (fx as usize & (SIDE - 1), fy as usize & (SIDE - 1));
         let (i1, j1) = ((i + 1) & (SIDE - 1), (j + 1) & (SIDE - 1));
         let top = self.0[j * SIDE + i] + (self.0[j * SIDE + i1] - self.0[j * SIDE + i]) * u;
         let bottom = self.0[j1 * SIDE + i] + (self.0[j1 * SIDE + i1] - self.0[j1 * SIDE + i]) * u;
         top + (bottom - top) * v
     }
+}
+
+/// The largest whole number that is not above `v`; without SSE 4.1 the standard library's is a call.
+#[must_use]
+#[inline]
+pub fn floor(v: f32) -> i32 {
+    let whole = v as i32;
+    whole - i32::from(v < whole as f32)
 }
 
 /// The lattice cell of texel `k` and the smoothed fraction inside it.

@@ -1,6 +1,7 @@
 //! What a marker is drawn on: sheets with their colours, lines and grain, or the photo's own surface.
 use crate::{
     color::{self, Linear},
+    dist::Dist,
     noise::{Spectrum, Tile},
 };
 use schemars::JsonSchema;
@@ -72,8 +73,8 @@ struct Rule {
 }
 
 impl Sheet {
-    /// Draws the sheet's own properties.
-    pub fn sample(surface: Surface, rng: &mut Rng) -> Self {
+    /// Draws the sheet's own properties; each of its four margins is `margin` times 0.6 to 1.6.
+    pub fn sample(surface: Surface, margin: &Dist, rng: &mut Rng) -> Self {
         let white = || color::from_hsv(45.0, 0.03, 0.94);
         let base = match surface {
             Surface::Photo => [0.5; 3],
@@ -86,7 +87,7 @@ impl Sheet {
             Surface::Wall => color::from_hsv(rng.uniform(20.0, 220.0), rng.uniform(0.0, 0.15), rng.uniform(0.7, 0.97)),
         };
         let margins = (surface != Surface::Photo).then(|| {
-            let even = rng.uniform(0.04, 0.5);
+            let even = margin.sample(rng);
             std::array::from_fn(|_| (even * rng.uniform(0.6, 1.6)) as f32)
         });
         let ruled = matches!(surface, Surface::Ruled | Surface::Squared);

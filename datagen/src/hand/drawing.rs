@@ -85,7 +85,7 @@ impl Plan<'_> {
         let offset = [hand.rng.uniform(0.0, 256.0) as f32, hand.rng.uniform(0.0, 256.0) as f32];
         if !hatched {
             let flat: Vec<[f32; 2]> = outline.iter().map(|p| p.map(|v| v as f32)).collect();
-            ink.flood(&flat, nature.density);
+            ink.flood(&flat, 1.0);
         } else {
             let angle = hand.config.hatch_deg.sample(&mut hand.rng).to_radians();
             let spacing = 2.0 * nib * hand.config.hatch_spacing.sample(&mut hand.rng);
@@ -197,9 +197,10 @@ impl Hand<'_> {
         let tremor = (rng.normal() * 0.08, rng.uniform(9.0, 16.0), rng.uniform(0.0, std::f64::consts::TAU));
         let (thin, pool) = (rng.uniform(0.0, 0.22) * nature.hand, rng.uniform(0.0, 0.3) * nature.hand);
         let uneven = f64::from(nature.uneven);
-        let strength = f64::from(nature.density) * (1.0 + uneven * rng.normal() * 0.5).clamp(0.6, 1.4);
+        let strength = (1.0 + uneven * rng.normal() * 0.5).clamp(0.6, 1.4);
         let gap = (rng.chance(self.config.gaps) && nature.hand > 0.0).then(|| (rng.uniform(0.2, 0.8), rng.uniform(0.01, 0.06)));
-        let steps = ((length * 24.0).ceil() as usize).clamp(2, 40);
+        // Segments about as long as the nib is wide: shorter ones would not show.
+        let steps = ((length / (0.5 * radius + 0.015)).ceil() as usize).clamp(2, 64);
         (0..=steps)
             .map(|k| {
                 let t = k as f64 / steps as f64;
@@ -263,7 +264,7 @@ mod tests {
         let drawing = plan.draw(&HandConfig::default(), Rng::for_item(0, "test/drawing", 0));
         assert_eq!(drawing.corners, [[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]);
         assert!(drawing.center.iter().all(|v| v.abs() < 1e-6), "{:?}", drawing.center);
-        let area: f32 = drawing.fill.density.iter().sum::<f32>() / print.density;
+        let area: f32 = drawing.fill.density.iter().sum();
         assert!((area / 10_000.0 - 1.0).abs() < 0.01, "{area}");
     }
 

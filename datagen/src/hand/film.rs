@@ -18,16 +18,15 @@ impl Tint {
     /// Up to one layer, density is the share of the surface that is covered, so that antialiased edges are exact in linear light; beyond one
     /// layer a translucent ink darkens as layers of filter do.
     #[must_use]
-    pub fn new(color: Linear, opacity: f32) -> Self {
+    pub fn new(color: Linear, nature: &Nature, opacity: f32) -> Self {
         Self(std::array::from_fn(|k| {
             let density = k as f32 * 3.0 / STEPS as f32;
             let (covered, layers) = (density.min(1.0), density.max(1.0));
-            let hidden = covered * opacity;
             let through: Linear = std::array::from_fn(|c| {
-                let filter = libm::powf(color[c].max(0.02), layers);
-                (1.0 - covered + covered * filter) * (1.0 - hidden)
+                let filter = libm::powf(color[c].max(0.02), layers * nature.density);
+                1.0 - covered + covered * filter * (1.0 - opacity)
             });
-            (through, color.map(|v| v * hidden))
+            (through, color.map(|v| v * covered * opacity))
         }))
     }
 
@@ -50,6 +49,14 @@ pub struct Film {
     pub ink: Vec<f32>,
 }
 
+/// The light that falls on a sheet.
+pub trait Light {
+    /// Its strength at a pixel.
+    fn level(&self, x: f32, y: f32) -> f32;
+    /// Its colour.
+    fn tone(&self) -> Linear;
+}
+
 /// What a film is made of.
 #[derive(Debug, Clone, Copy)]
 pub struct Layers<'a> {
@@ -68,9 +75,9 @@ pub struct Layers<'a> {
 }
 
 impl Film {
-    /// Looks at the layers through a view. `pad` is added around the sheet for later blur; `light(x, y)` is the light that falls on the
-    /// sheet at a pixel. `None` where nothing of it is in the image.
-    pub fn render(layers: &Layers, view: &View, size: (usize, usize), pad: usize, light: impl Fn(f32, f32) -> Linear) -> Option<Self> {
+    /// Looks at the layers through a view. `pad` is added around the sheet for later blur; `light` falls on the
+    /// sheet. `None` where nothing of it is in the image.
+    pub fn render(layers: &Layers, view: &View, size: (usize, usize), pad: usize, light: &impl Light) -> Option<Self> {
         let drawn = [layers.half[0] + super::drawing::MARGIN, layers.half[1] + super::drawing::MARGIN];
         let margins = layers.sheet.margins;
         let sheet = margins.map(|m| {
@@ -101,7 +108,7 @@ impl Film {
                     f64::from(max) > lo && f64::from(min) < hi
                 };
                 if near(0, extent[0] - 0.05, extent[2] + 0.05) && near(1, extent[1] - 0.05, extent[3] + 0.05) {
-                    film.cell(layers, sheet, samples, (i * CELL, j * CELL), [a, b, c, d], &light);
+                    film.cell(layers, sheet, samples, (i * CELL, j * CELL), [a, b, c, d], light);
                 }
             }
         }
@@ -122,7 +129,7 @@ impl Film {
             };
             most = (most.0.max(step([0.25, 0.0]) * 4.0), most.1.max(step([0.0, 0.25]) * 4.0));
         }
-        let count = |cells: f64| ((cells / 1.1).ceil() as usize).clamp(2, 6);
+        let count = |cells: f64| ((cells / 1.25).ceil() as usize).clamp(1, 6);
         (count(most.0), count(most.1))
     }
 
@@ -133,7 +140,7 @@ impl Film {
         (nx, ny): (usize, usize),
         (x0, y0): (usize, usize),
         nodes: [[f32; 2]; 4],
-        light: &impl Fn(f32, f32) -> Linear,
+        light: &impl Light,
     ) {
         let (width, height) = (self.x.len(), self.y.len());
         let [a, b, c, d] = nodes;
@@ -146,6 +153,10 @@ impl Film {
         // The size of a pixel on the sheet, for edges and rules.
         let across = |p: [f32; 2], q: [f32; 2]| ((p[0] - q[0]).powi(2) + (p[1] - q[1]).powi(2)).sqrt() / CELL as f32;
         let footprint = ((across(a, b) * across(a, d)).sqrt()).max(1e-5);
+        // Light changes slowly: over a cell it is a plane.
+        let (px, py) = ((self.x.start + x0) as f32 + 0.5, (self.y.start + y0) as f32 + 0.5);
+        let (level, tone) = (light.level(px, py), light.tone());
+        let slope = [(light.level(px + CELL as f32, py) - level) / CELL as f32, (light.level(px, py + CELL as f32) - level) / CELL as f32];
         let weight = 1.0 / (nx * ny) as f32;
         let one = 1.0 / CELL as f32;
         for y in y0..(y0 + CELL).min(height) {
@@ -176,7 +187,8 @@ impl Film {
                 }
                 let (fill_through, fill_own) = layers.fill.at(fill);
                 let (line_through, line_own) = layers.line.at(line);
-                let lit = light((self.x.start + x) as f32 + 0.5, (self.y.start + y) as f32 + 0.5);
+                let level = level + slope[0] * (x - x0) as f32 + slope[1] * (y - y0) as f32;
+                let lit = [tone[0] * level, tone[1] * level, tone[2] * level];
                 let base = if paper > 0.0 { layers.sheet.at(middle[0], middle[1], footprint) } else { [0.0; 3] };
                 let shine = layers.glare.map_or(0.0, |(spot, radius, strength)| {
                     let r2 = ((middle[0] - spot[0]).powi(2) + (middle[1] - spot[1]).powi(2)) / (radius * radius);

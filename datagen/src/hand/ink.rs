@@ -86,26 +86,29 @@ impl Ink {
                     if distance2 > (radius + 1.0) * (radius + 1.0) {
                         continue;
                     }
-                    let distance = distance2.sqrt();
                     // How far from the rim, in cells; a soft medium fades over a part of the radius, all others over one cell.
                     let fade = 1.0 + nature.soft * radius;
-                    let cover = ((radius - distance) / fade + 0.5).clamp(0.0, 1.0);
-                    let from_middle = (distance / radius.max(0.1)).min(1.0);
-                    let mut flow = (fa + (fb - fa) * t) * (1.0 + nature.rim * (from_middle * from_middle - 0.35));
-                    if nature.streaks > 0.0 {
+                    let full = radius - 0.5 * fade;
+                    let cover = if full > 0.0 && distance2 < full * full {
+                        1.0
+                    } else {
+                        ((radius - distance2.sqrt()) / fade + 0.5).clamp(0.0, 1.0)
+                    };
+                    let from_middle2 = (distance2 / (radius * radius).max(0.01)).min(1.0);
+                    let flow = (fa + (fb - fa) * t) * (1.0 + nature.rim * (from_middle2 - 0.35));
+                    let cell = &mut layer[j * w + i];
+                    if cover * flow <= *cell {
+                        continue;
+                    }
+                    let streak = if nature.streaks > 0.0 {
                         // Streaks follow the stroke: fine across it, long along it.
                         let side = (px * d[1] - py * d[0]) / length;
-                        let along = walked + t * length;
-                        flow *= 1.0
-                            - nature.streaks
-                                * 0.5
-                                * (1.0
-                                    + Tile::of(Spectrum::Pink)
-                                        .nearest(side / self.scale * 900.0 + offset[0] + 4096.0, along / self.scale * 60.0 + offset[1]))
-                                .clamp(0.0, 1.5);
-                    }
-                    let cell = &mut layer[j * w + i];
-                    *cell = cell.max(cover * flow.max(0.0));
+                        let (u, v) = (side / self.scale * 900.0 + offset[0], (walked + t * length) / self.scale * 60.0 + offset[1]);
+                        1.0 - nature.streaks * 0.5 * (1.0 + Tile::of(Spectrum::Pink).nearest(u, v)).clamp(0.0, 1.5)
+                    } else {
+                        1.0
+                    };
+                    *cell = cell.max(cover * (flow * streak).max(0.0));
                 }
             }
             walked += length;

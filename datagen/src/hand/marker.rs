@@ -56,7 +56,7 @@ impl Spec {
         let shape = pick(shapes, Shape::TCross, &mut stream("shape"));
         let medium = pick(&m.media, Medium::FeltTip, &mut stream("medium"));
         let surface = pick(&m.surfaces, Surface::White, &mut stream("surface"));
-        let sheet = Sheet::sample(surface, &mut stream("sheet"));
+        let sheet = Sheet::sample(surface, &m.margin, &mut stream("sheet"));
         let (fill, line, line_medium) = colors(config, medium, &sheet, &mut stream("colors"));
         let aspect = m.aspect.sample(&mut stream("aspect")).sqrt();
         let mut bend = stream("bend");
@@ -111,8 +111,7 @@ impl Spec {
         let scale =
             [[0.0, 0.0], [-w, -h], [w, -h], [w, h], [-w, h]].into_iter().filter_map(|p| view.scales(p)).map(|s| s.0).fold(8.0, f64::max);
         let (fill, line) = (self.medium.nature(), self.line_medium.nature());
-        let plan =
-            Plan { shape: self.shape, half: self.stance.half, fill: &fill, line: &line, scale: (scale * 1.2).clamp(40.0, 640.0) as f32 };
+        let plan = Plan { shape: self.shape, half: self.stance.half, fill: &fill, line: &line, scale: scale.clamp(40.0, 640.0) as f32 };
         let drawing = plan.draw(&self.hand, Rng::for_item(self.seed, "datagen/marker/hand", 0));
         let below = if self.surface == Surface::Photo { brightness_at(canvas, view) } else { color::luminance(self.sheet.base) };
         let glare = self.glare.then(|| {
@@ -122,8 +121,8 @@ impl Spec {
         let solid = self.shape.geometry().filled;
         Look {
             drawing,
-            fill: Tint::new(self.fill, opacity_on(&fill, below)),
-            line: Tint::new(self.line, opacity_on(&line, if solid { color::luminance(self.fill) * below.max(0.3) } else { below })),
+            fill: Tint::new(self.fill, &fill, opacity_on(&fill, below)),
+            line: Tint::new(self.line, &line, opacity_on(&line, if solid { color::luminance(self.fill) * below.max(0.3) } else { below })),
             sheet: &self.sheet,
             glare,
         }

@@ -20,7 +20,7 @@ pub mod ink;
 mod marker;
 pub mod view;
 
-use film::Film;
+use film::{Film, Light};
 use marker::Spec;
 use view::{Camera, View};
 
@@ -45,7 +45,7 @@ pub fn draw(mut canvas: Canvas, config: &Config, seed: u64, index: u64, record: 
     }
 
     let motion = Motion::sample(config, &specs, stream("motion"));
-    let light = Light::of(&canvas, &mut stream("light"));
+    let light = PhotoLight::of(&canvas, &mut stream("light"));
     let softness = config.camera.softness_px.sample(&mut stream("softness"));
     let mut taken: Vec<Quad> = Vec::new();
     let mut shown = Vec::new();
@@ -114,7 +114,7 @@ impl Motion {
 }
 
 /// The light that falls on a sheet, taken from the photo: its level, its colour, its slopes.
-struct Light {
+struct PhotoLight {
     columns: usize,
     levels: Vec<f32>,
     tone: color::Linear,
@@ -125,17 +125,31 @@ struct Light {
 /// Pixels a cell of the light.
 const LIGHT_CELL: usize = 32;
 
-impl Light {
+impl PhotoLight {
     fn of(canvas: &Canvas, rng: &mut Rng) -> Self {
-        let mean = canvas.mean(0..canvas.width, 0..canvas.height);
-        let level = color::luminance(mean).max(0.01);
+        // Every fourth pixel of every fourth row tells enough of the light: sums over cells, then over each cell and its neighbours.
         let (columns, rows) = (canvas.width.div_ceil(LIGHT_CELL) + 1, canvas.height.div_ceil(LIGHT_CELL) + 1);
+        let mut sums = vec![([0f32; 3], 0f32); columns * rows];
+        for y in (0..canvas.height).step_by(4) {
+            for x in (0..canvas.width).step_by(4) {
+                let (sum, count) = &mut sums[y / LIGHT_CELL * columns + x / LIGHT_CELL];
+                let pixel = canvas.at(x, y);
+                (0..3).for_each(|c| sum[c] += pixel[c]);
+                *count += 1.0;
+            }
+        }
+        let mean_of = |cells: &mut dyn Iterator<Item = usize>| {
+            let (sum, count) = cells.fold(([0f32; 3], 0f32), |(sum, n), k| (std::array::from_fn(|c| sum[c] + sums[k].0[c]), n + sums[k].1));
+            (count > 0.0).then(|| color::scaled(sum, 1.0 / count))
+        };
+        let mean = mean_of(&mut (0..sums.len())).unwrap_or([0.2; 3]);
+        let level = color::luminance(mean).max(0.01);
         let follow = rng.uniform(0.1, 0.6);
         let strength = ((f64::from(level) * 1.7 + 0.12) * rng.uniform(0.75, 1.25)).clamp(0.08, 1.05);
         let at = |i: usize, j: usize| {
-            let around = |k: usize, limit: usize| (k * LIGHT_CELL).saturating_sub(LIGHT_CELL)..((k + 1) * LIGHT_CELL).min(limit);
-            let (x, y) = (around(i, canvas.width), around(j, canvas.height));
-            let local = if x.is_empty() || y.is_empty() { level } else { color::luminance(canvas.mean(x, y)).max(0.005) };
+            let around = |k: usize, n: usize| k.saturating_sub(1)..(k + 1).min(n);
+            let near = mean_of(&mut around(j, rows).flat_map(|j| around(i, columns).map(move |i| j * columns + i)));
+            let local = near.map_or(level, color::luminance).max(0.005);
             (strength * libm::pow(f64::from(local / level), follow).clamp(0.35, 1.6)) as f32
         };
         let levels = (0..columns * rows).map(|k| at(k % columns, k / columns)).collect();
@@ -143,8 +157,10 @@ impl Light {
         let tone = mean.map(|v| libm::pow(f64::from(v / level).clamp(0.5, 1.6), tint) as f32);
         Self { columns, levels, tone, grain: grain_of(canvas), seed: rng.bits() }
     }
+}
 
-    fn at(&self, x: f32, y: f32) -> color::Linear {
+impl Light for PhotoLight {
+    fn level(&self, x: f32, y: f32) -> f32 {
         let (x, y) = (x / LIGHT_CELL as f32, y / LIGHT_CELL as f32);
         let (i, j) = (x as usize, y as usize);
         let (u, v) = (x - i as f32, y - j as f32);
@@ -152,7 +168,11 @@ impl Light {
         let at = |i: usize, j: usize| self.levels[(j * self.columns + i).min(last)];
         let top = at(i, j) + (at(i + 1, j) - at(i, j)) * u;
         let bottom = at(i, j + 1) + (at(i + 1, j + 1) - at(i, j + 1)) * u;
-        color::scaled(self.tone, top + (bottom - top) * v)
+        top + (bottom - top) * v
+    }
+
+    fn tone(&self) -> color::Linear {
+        self.tone
     }
 }
 
@@ -176,11 +196,11 @@ struct Truth {
 }
 
 /// Draws one marker (or near miss) over the picture. `None` where nothing of it can be seen.
-fn paint(canvas: &mut Canvas, spec: &Spec, view: &View, light: &Light, softness: f64, motion: Option<&Blur>) -> Option<Truth> {
+fn paint(canvas: &mut Canvas, spec: &Spec, view: &View, light: &PhotoLight, softness: f64, motion: Option<&Blur>) -> Option<Truth> {
     let size = (canvas.width, canvas.height);
     let look = spec.look(canvas, view);
     let pad = (softness * 3.0).ceil() as usize + motion.map_or(0, |m| m.reach) + 1;
-    let mut film = Film::render(&look.layers(&spec.stance.half), view, size, pad, |x, y| light.at(x, y))?;
+    let mut film = Film::render(&look.layers(&spec.stance.half), view, size, pad, light)?;
     let corners = look.drawing.corners.map(|p| view.image_from_plane(p));
     let corners = Quad([corners[0]?, corners[1]?, corners[2]?, corners[3]?]);
     let center = view.image_from_plane(look.drawing.center)?;
@@ -202,8 +222,8 @@ fn paint(canvas: &mut Canvas, spec: &Spec, view: &View, light: &Light, softness:
             _ => Material::muted(&mut rng),
         };
         fill(canvas, outline, |x, y| {
-            let (color, lit) = (material.at(x, y), light.at(x, y));
-            (std::array::from_fn(|k| color[k] * lit[k]), 1.0)
+            let (color, tone, level) = (material.at(x, y), light.tone(), light.level(x, y));
+            (std::array::from_fn(|k| color[k] * tone[k] * level), 1.0)
         });
     }
     let covered = occluder.map_or(0.0, |o| o.0);
@@ -211,7 +231,7 @@ fn paint(canvas: &mut Canvas, spec: &Spec, view: &View, light: &Light, softness:
 }
 
 /// Lays a film over the picture; what it adds gets the photo's grain.
-fn lay(canvas: &mut Canvas, film: &Film, light: &Light) {
+fn lay(canvas: &mut Canvas, film: &Film, light: &PhotoLight) {
     let normals = crate::noise::normals();
     let width = film.x.len();
     let mut rng = Rng::for_item(light.seed, "datagen/film-grain", film.y.start as u64 * 65_536 + film.x.start as u64);

@@ -16,7 +16,7 @@ mod print;
 pub struct Nature {
     /// 0 filters the light of what lies below (a highlighter), 1 hides it (paint).
     pub opacity: f32,
-    /// Depth of colour of one layer; 1 is the colour as named.
+    /// How deep one translucent layer is; 1 is the colour as named, 2 that of two layers.
     pub density: f32,
     /// Width of the nib as a fraction of the marker's side, for fills: smallest and largest.
     pub nib: [f64; 2],

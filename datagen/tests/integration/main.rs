@@ -3,3 +3,4 @@
 mod datasets;
 mod photos;
 mod presets;
+mod truth;

@@ -1,7 +1,7 @@
 //! What the things of a scene are made of: two colours, noise of some spectrum, and a pattern.
 use crate::{
     color::{self, Linear},
-    noise::{Spectrum, Tile},
+    noise::{Spectrum, Tile, floor},
 };
 use tcross_dataset::Rng;
 
@@ -90,12 +90,12 @@ impl Material {
                 f32::from(u8::from(a != b))
             }
             Pattern::Bricks => {
-                let row = (y / self.period).floor();
+                let row = floor(y / self.period) as f32;
                 let (a, b) = (wrap(x / self.period * 0.45 + row * 0.5), wrap(y / self.period));
                 f32::from(u8::from(a < self.joint * 0.5 || b < self.joint))
             }
             Pattern::Planks => {
-                let column = (x / self.period).floor();
+                let column = floor(x / self.period) as f32;
                 let edge = f32::from(u8::from(wrap(x / self.period) < self.joint * 0.4));
                 // Each plank has its own shade.
                 edge.max(0.5 + 0.5 * tile.nearest(column * 37.0, 11.0).clamp(-1.0, 1.0) * 0.7)
@@ -111,7 +111,7 @@ impl Material {
 }
 
 fn wrap(v: f32) -> f32 {
-    v - v.floor()
+    v - floor(v) as f32
 }
 
 fn step(v: f32) -> f32 {

@@ -34,7 +34,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let truth = Truth::new(records, BoxConvention::Continuous, None);
     let evaluation = evaluate(&truth, "large", path.as_path().into(), &Config::default(), false)?;
     let scored = start.elapsed().as_secs_f64();
-    let report = Report { title: "Large".into(), runs: vec![Run::new(&truth, &evaluation)], extras: vec![], provenance: vec![] }.build();
+    let report =
+        Report { title: "Large".into(), runs: vec![Run::new(&truth, &evaluation)], sweeps: vec![], extras: vec![], provenance: vec![] }
+            .build();
     let built = start.elapsed().as_secs_f64();
     std::fs::remove_file(&path)?;
     println!("{lines} lines, {:.2} GB: reading {reading:.2} s, scored after {scored:.2} s, report after {built:.2} s", bytes as f64 / 1e9);

@@ -35,7 +35,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let timid = evaluate(&truth, "timid", timid.into(), &config, false)?;
     let compared = std::env::args().nth(3).is_some();
     let runs = [&evaluation, &timid].into_iter().take(1 + usize::from(compared)).map(|e| Run::new(&truth, e)).collect();
-    let report = Report { title: "A made-up detector".into(), runs, extras: vec![], provenance };
+    let report = Report { title: "A made-up detector".into(), runs, sweeps: vec![], extras: vec![], provenance };
     report.build().write(&out)?;
     eprintln!("{images} images scored and reported in {:.2} s", start.elapsed().as_secs_f64());
     Ok(())

@@ -33,7 +33,7 @@ pub struct Calibration {
 #[must_use]
 pub fn calibration(images: &[MatchedImage]) -> Calibration {
     let mut sums = [(0u64, 0u64, 0.0f64); 10];
-    for claim in images.iter().flat_map(|i| &i.claims).filter(|c| c.verdict != Verdict::Duplicate) {
+    for claim in images.iter().flat_map(|i| &i.claims).filter(|c| matches!(c.verdict, Verdict::Hit | Verdict::FalsePositive)) {
         let (n, right, score) = &mut sums[((claim.score * 10.0) as usize).min(9)];
         *n += 1;
         *right += u64::from(claim.verdict == Verdict::Hit);
@@ -56,7 +56,7 @@ mod tests {
     #[test]
     fn scores_that_are_right_as_often_as_they_say_have_no_error() {
         let image = |score: f64, hits: usize, misses: usize| {
-            let claim = |verdict| Claim { score, iou: 0.5, marker: MarkerIndex::new(0), verdict };
+            let claim = |verdict| Claim { score, iou: 0.5, side: 20.0, marker: MarkerIndex::new(0), verdict };
             let claims = [vec![claim(Verdict::Hit); hits], vec![claim(Verdict::FalsePositive); misses]].concat();
             MatchedImage { markers: hits as u32, claims }
         };

@@ -1,5 +1,5 @@
 //! The `[eval]` section.
-use crate::error::EvalError;
+use crate::{error::EvalError, sweep::Factor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -54,12 +54,19 @@ pub struct Config {
     pub classes: Vec<String>,
     /// Ends of the size classes, in pixels of the box's short side, rising.
     pub size_edges_px: Vec<f64>,
+    /// Least short sides, in pixels, rising: for each the paper's metrics are also given for markers whose box is at least so
+    /// large; smaller markers, what is matched to them, and unmatched detections smaller than that are ignored.
+    pub min_side_px: Vec<f64>,
     /// Bootstrap draws for intervals and bands; 0 for none.
     pub bootstrap_draws: usize,
     /// Seed of the bootstrap and of the choice of samples.
     pub seed: u64,
     /// Pictures in each gallery of the report.
     pub gallery: usize,
+    /// What this dataset varies alone: `blur`, `tilt`, `size`, `occlusion`, `noise` or `light`. The report then shows the
+    /// metrics as curves against it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sweep: Option<Factor>,
     /// The published row that the result is put beside.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub paper: Option<PaperRef>,
@@ -75,9 +82,11 @@ impl Default for Config {
             iou: IouKind::Inclusive,
             classes: Vec::new(),
             size_edges_px: vec![8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0, 96.0],
+            min_side_px: vec![12.0, 16.0, 24.0, 32.0],
             bootstrap_draws: 1000,
             seed: 0,
             gallery: 12,
+            sweep: None,
             paper: None,
         }
     }
@@ -104,8 +113,10 @@ impl Config {
         if !(self.min_iou > 0.0 && self.min_iou <= 1.0) {
             return error("min_iou", self.min_iou.to_string(), "a number above 0, at most 1");
         }
-        if !rising(&self.size_edges_px) || !self.size_edges_px.iter().all(|v| v.is_finite() && *v > 0.0) {
-            return error("size_edges_px", format!("{:?}", self.size_edges_px), "rising numbers above 0");
+        for (key, sides) in [("size_edges_px", &self.size_edges_px), ("min_side_px", &self.min_side_px)] {
+            if !rising(sides) || !sides.iter().all(|v| v.is_finite() && *v > 0.0) {
+                return error(key, format!("{sides:?}"), "rising numbers above 0");
+            }
         }
         if self.bootstrap_draws > 1_000_000 {
             return error("bootstrap_draws", self.bootstrap_draws.to_string(), "0 to 1000000");
@@ -114,6 +125,12 @@ impl Config {
             crate::paper_tables::find(paper)?;
         }
         Ok(())
+    }
+
+    /// The same scoring for the choice of a threshold: no intervals and no pictures, which only cost time.
+    #[must_use]
+    pub fn for_a_threshold(&self) -> Self {
+        Self { protocols: vec![Protocol::Paper], bootstrap_draws: 0, gallery: 0, min_side_px: Vec::new(), ..self.clone() }
     }
 
     /// True where a protocol is asked for.
@@ -139,6 +156,8 @@ mod tests {
         let config = Config { thresholds: vec![0.5, 0.3], ..Config::default() };
         let message = config.validate().unwrap_err().to_string();
         assert!(message.contains("thresholds") && message.contains("[0.5, 0.3]") && message.contains("rising"), "{message}");
+        let config = Config { min_side_px: vec![0.0], ..Config::default() };
+        assert!(config.validate().unwrap_err().to_string().contains("min_side_px"));
         assert!(toml::from_str::<Config>("treshold = 0.3").unwrap_err().to_string().contains("treshold"));
     }
 }

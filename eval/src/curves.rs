@@ -102,7 +102,8 @@ fn area_of_steps(steps: impl Iterator<Item = (f64, f64)>) -> f64 {
 
 /// The same from every score, rather than from a grid of them, down to `floor`: there false positives exceed one an image.
 fn exact_area(images: &[MatchedImage], markers: f64, floor: f64) -> f64 {
-    let all = images.iter().flat_map(|i| &i.claims).filter(|c| c.verdict != Verdict::Duplicate && c.score >= floor);
+    let all =
+        images.iter().flat_map(|i| &i.claims).filter(|c| matches!(c.verdict, Verdict::Hit | Verdict::FalsePositive) && c.score >= floor);
     let mut claims: Vec<(f64, bool)> = all.map(|c| (c.score, c.verdict == Verdict::Hit)).collect();
     claims.par_sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
     let (mut tp, mut fp) = (0.0, 0.0);
@@ -121,7 +122,7 @@ mod tests {
     use crate::matching::{Claim, MarkerIndex};
 
     fn images() -> Vec<MatchedImage> {
-        let claim = |score, verdict| Claim { score, iou: 0.8, marker: MarkerIndex::new(0), verdict };
+        let claim = |score, verdict| Claim { score, iou: 0.8, side: 20.0, marker: MarkerIndex::new(0), verdict };
         let both = |hit: f64, fp: f64| {
             let mut claims = vec![claim(hit, Verdict::Hit), claim(fp, Verdict::FalsePositive)];
             claims.sort_by(|a, b| b.score.total_cmp(&a.score));

@@ -26,6 +26,28 @@ pub enum EvalError {
         /// All of them.
         count: usize,
     },
+    /// An image of the truth with more markers than one index can tell apart.
+    #[error("{path}: '{image}' has {markers} markers: allowed are at most {most} an image")]
+    Markers {
+        /// The truth.
+        path: std::path::PathBuf,
+        /// The image.
+        image: String,
+        /// Its markers.
+        markers: usize,
+        /// What is allowed.
+        most: usize,
+    },
+    /// A record that does not tell the value of the factor over which the set is swept.
+    #[error("{path}: '{image}' has a marker but does not tell its {factor}; sweep over what the dataset was generated for")]
+    Factor {
+        /// The truth.
+        path: std::path::PathBuf,
+        /// The image.
+        image: String,
+        /// The factor.
+        factor: &'static str,
+    },
     /// A COCO file that does not hold what the format asks for.
     #[error("{path}: {message}")]
     Coco {

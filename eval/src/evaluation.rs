@@ -3,7 +3,7 @@ use crate::{
     config::{Config, Protocol},
     error::EvalError,
     input::{self, DetectionSource, Located, ProblemCounts},
-    matching::{Rule, Tally, Verdict, match_image, tally},
+    matching::{MarkerIndex, Rule, Tally, Verdict, match_image, tally},
     protocol::{
         coco::{CocoCell, CocoScores},
         paper::{MatchedImage, Row, Scores},
@@ -64,6 +64,10 @@ struct Scored {
 /// If the configuration or, unless `lenient`, the detections are not what they should be.
 pub fn evaluate(truth: &Truth, name: &str, source: DetectionSource, config: &Config, lenient: bool) -> Result<Evaluation, EvalError> {
     config.validate()?;
+    let most = MarkerIndex::MOST;
+    if let Some(r) = truth.records.iter().find(|r| r.markers.len() > most) {
+        return Err(EvalError::Markers { path: truth.path.clone(), image: r.image.clone(), markers: r.markers.len(), most });
+    }
     let rule = Rule::from(config);
     let (coco, pose) = (config.wants(Protocol::Coco), config.wants(Protocol::Pose));
     let score = |index: usize, row: &ImageDetections| {

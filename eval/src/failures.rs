@@ -113,7 +113,7 @@ fn visit(truth: &Truth, evaluation: &Evaluation, threshold: f64, mut take: impl 
                 Verdict::Duplicate => take(failure(Kind::Duplicate)),
                 Verdict::FalsePositive if claim.iou < TOUCHING => take(Failure { truth: None, ..failure(Kind::Background) }),
                 Verdict::FalsePositive => take(failure(Kind::Misplaced)),
-                Verdict::Hit => {}
+                Verdict::Hit | Verdict::Ignored => {}
             }
             if let Some(m) = marker {
                 found[m] |= claim.verdict == Verdict::Hit;

@@ -9,7 +9,7 @@
 //! most. Which marker a detection belongs to then depends on detections of higher score only, so one matching serves
 //! every threshold, and with one marker an image it is the rule above exactly.
 use crate::config::{Config, IouKind};
-use std::num::NonZeroU32;
+use std::num::NonZeroU16;
 use tcross_dataset::{
     Detection, Marker, PixelBox,
     geom::boxes::{iou, iou_inclusive},
@@ -24,23 +24,28 @@ pub enum Verdict {
     Duplicate,
     /// Overlaps no marker enough.
     FalsePositive,
+    /// Counts neither way, since what it is about is left out, such as markers below a least size.
+    Ignored,
 }
 
-/// Index of a marker in its record. `Option<MarkerIndex>` is four bytes: claims are what memory is spent on.
+/// Index of a marker in its record. `Option<MarkerIndex>` is two bytes: claims are what memory is spent on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct MarkerIndex(NonZeroU32);
+pub struct MarkerIndex(NonZeroU16);
 
 impl MarkerIndex {
-    /// Of a marker's position in its record; `None` beyond four thousand million.
+    /// The most markers of one image.
+    pub const MOST: usize = u16::MAX as usize;
+
+    /// Of a marker's position in its record; `None` from [`Self::MOST`] on.
     #[must_use]
     pub fn new(position: usize) -> Option<Self> {
-        u32::try_from(position).ok()?.checked_add(1).and_then(NonZeroU32::new).map(Self)
+        u16::try_from(position).ok()?.checked_add(1).and_then(NonZeroU16::new).map(Self)
     }
 
     /// The position.
     #[must_use]
     pub fn get(self) -> usize {
-        self.0.get() as usize - 1
+        usize::from(self.0.get()) - 1
     }
 }
 
@@ -51,6 +56,8 @@ pub struct Claim {
     pub score: f64,
     /// With `marker`; 0 without one.
     pub iou: f64,
+    /// The shorter side of its box in pixels, `max - min`.
+    pub side: f32,
     /// Index of the marker it belongs to; of a false positive the one it overlaps most, if it overlaps any.
     pub marker: Option<MarkerIndex>,
     /// What became of it.
@@ -141,7 +148,8 @@ pub fn match_image(markers: &[Marker], detections: &[Detection], rule: &Rule) ->
         if let (Verdict::Hit, Some(m)) = (verdict, marker) {
             found[m] = true;
         }
-        Claim { score: detection.score, iou, marker: marker.and_then(MarkerIndex::new), verdict }
+        let side = detection.bounds.width().min(detection.bounds.height()) as f32;
+        Claim { score: detection.score, iou, side, marker: marker.and_then(MarkerIndex::new), verdict }
     };
     by_falling_score(detections).into_iter().map(claim).collect()
 }
@@ -172,6 +180,7 @@ pub fn tally(claims: &[Claim], markers: usize, thresholds: &[f64]) -> Vec<Tally>
                 Verdict::Hit => now.tp += 1,
                 Verdict::Duplicate => now.duplicates += 1,
                 Verdict::FalsePositive => now.fp += 1,
+                Verdict::Ignored => {}
             }
             if let Some(best) = claim.marker.and_then(|m| best.get_mut(m.get())) {
                 now.iou += (claim.iou - *best).max(0.0);
@@ -247,6 +256,13 @@ mod tests {
         let all = tally(&claims, 2, &[0.0])[0];
         assert_eq!((all.tp, all.fp, all.duplicates), (2, 1, 1));
         assert!((all.iou - (1.0 + claims[1].iou)).abs() < 1e-12, "the duplicate's better box counts for the mean");
+    }
+
+    #[test]
+    fn a_claim_takes_24_bytes() {
+        assert_eq!(size_of::<Claim>(), 24);
+        assert_eq!(MarkerIndex::new(MarkerIndex::MOST - 1).map(MarkerIndex::get), Some(MarkerIndex::MOST - 1));
+        assert_eq!(MarkerIndex::new(MarkerIndex::MOST), None);
     }
 
     #[test]

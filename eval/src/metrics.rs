@@ -1,14 +1,7 @@
 //! `metrics.json`: every figure unrounded; what is undefined is absent.
 use crate::{
-    calibration::calibration,
-    curves,
-    evaluation::Evaluation,
-    failures,
-    interval::Interval,
-    slices::{at_least, slices},
-    truth::Truth,
-    validate::best_f1,
-    verdict::RowVerdict,
+    calibration::calibration, curves, evaluation::Evaluation, failures, interval::Interval, min_side::min_sides, slices::slices,
+    truth::Truth, validate::best_f1, verdict::RowVerdict,
 };
 use serde_json::{Map, Value, json};
 
@@ -42,7 +35,7 @@ fn paper(truth: &Truth, evaluation: &Evaluation, validation: Option<&Evaluation>
         "markers": scores.markers(),
         "rows": evaluation.rows(),
         "headline": evaluation.headline(),
-        "at_least": at_least(truth, evaluation),
+        "min_side": min_sides(truth, evaluation),
         "slices": slices(truth, evaluation),
         "calibration": calibration(&evaluation.images),
     });
@@ -71,12 +64,12 @@ fn insert_some(out: &mut Value, key: &str, interval: Option<Interval>) {
     }
 }
 
-/// The threshold of highest F1 at steps of 0.01, and that F1.
+/// The threshold of highest F1 at steps of 0.01, and that F1; `None` where nothing is found at any.
 #[must_use]
 pub fn chosen_threshold(validation: &Evaluation) -> Option<(f64, f64)> {
     let steps: Vec<f64> = (1..100).map(|k| f64::from(k) / 100.0).collect();
     let f1: Vec<Option<f64>> = steps.iter().map(|t| validation.scores.counts[validation.scores.position(*t)?].f1()).collect();
-    best_f1(&steps, &f1)
+    best_f1(&steps, &f1).filter(|(_, f1)| *f1 > 0.0)
 }
 
 /// False positives a thousand photos without a marker, at the configured threshold, with a 95 % interval of the Poisson

@@ -3,6 +3,7 @@
 use crate::{
     evaluation::{Evaluation, MarkerOutcome},
     interval::{Interval, quantile, wilson},
+    min_side::short_side,
     truth::Truth,
 };
 use serde::Serialize;
@@ -83,7 +84,7 @@ pub fn slices(truth: &Truth, evaluation: &Evaluation) -> Vec<Slice> {
     let outcomes = evaluation.markers_at(evaluation.config.threshold);
     let extra = truth.boxes.extra();
     let mut out = Vec::new();
-    let sizes = outcomes.iter().map(|o| Some(Value::Number(short_side(marker_of(truth, o), extra))));
+    let sizes = outcomes.iter().map(|o| Some(Value::Number(short_side(&marker_of(truth, o).bounds, extra))));
     let edges = Edges::Fixed(evaluation.config.size_edges_px.clone());
     out.extend(slice("size", "short side of the box (px)", edges, &outcomes, sizes.collect(), evaluation));
     for (key, label, edges, value) in factors() {
@@ -106,17 +107,11 @@ fn marker_of<'a>(truth: &'a Truth, o: &MarkerOutcome) -> &'a Marker {
     &truth.records[o.image].markers[o.marker]
 }
 
-/// The shorter side of a marker's box in continuous pixels.
-#[must_use]
-pub fn short_side(marker: &Marker, extra: f64) -> f64 {
-    marker.bounds.width().min(marker.bounds.height()) + extra
-}
-
 fn factors() -> Vec<Factor> {
     let fixed = |edges: &[f64]| Edges::Fixed(edges.to_vec());
     vec![
         ("blur", "motion blur (fraction of the short side)", fixed(&[0.02, 0.05, 0.1, 0.2, 0.4]), |_, m| {
-            m.blur_px.map(|b| Value::Number(b / short_side(m, 0.0).max(1.0)))
+            m.blur_px.map(|b| Value::Number(b / short_side(&m.bounds, 0.0).max(1.0)))
         }),
         ("tilt", "tilt (degrees)", fixed(&[15.0, 30.0, 45.0, 60.0, 75.0]), |_, m| m.tilt_deg.map(Value::Number)),
         ("occlusion", "hidden part of the marker (fraction)", fixed(&[0.01, 0.1, 0.2, 0.35, 0.5]), |_, m| {
@@ -267,45 +262,6 @@ fn class_pose(outcomes: &crate::protocol::pose::PoseOutcomes, members: &[MarkerO
         angle_deg: median(&|e| e.angle_deg.abs())?,
         corner_percent: median(&|e| e.corner_percent())?,
     })
-}
-
-/// The paper's rates for markers of at least some size.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct AtLeast {
-    /// Least short side of the box in pixels.
-    pub min_px: f64,
-    /// Markers of that size.
-    pub markers: u64,
-    /// Of these found.
-    pub tp: u64,
-    /// False positives of all images, whatever their size: counted in full against every size.
-    pub fp: u64,
-    /// Found / markers.
-    pub recall: f64,
-    /// 95 %, Wilson.
-    pub recall_ci: Interval,
-    /// Found / (found + false positives).
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub precision: Option<f64>,
-    /// Misses as 0.
-    pub mean_iou: f64,
-}
-
-/// One row a size: all markers, then those whose box has a short side of at least each edge.
-#[must_use]
-pub fn at_least(truth: &Truth, evaluation: &Evaluation) -> Vec<AtLeast> {
-    let outcomes = evaluation.markers_at(evaluation.config.threshold);
-    let extra = truth.boxes.extra();
-    let fp = evaluation.scores.position(evaluation.config.threshold).map_or(0, |k| evaluation.scores.counts[k].fp);
-    let row = |min_px: f64| {
-        let kept: Vec<_> = outcomes.iter().filter(|o| short_side(marker_of(truth, o), extra) >= min_px).collect();
-        let (markers, tp) = (kept.len() as u64, kept.iter().filter(|o| o.found).count() as u64);
-        let recall_ci = wilson(tp, markers)?;
-        let mean_iou = kept.iter().map(|o| o.iou).sum::<f64>() / markers as f64;
-        let precision = (tp + fp > 0).then(|| tp as f64 / (tp + fp) as f64);
-        Some(AtLeast { min_px, markers, tp, fp, recall: tp as f64 / markers as f64, recall_ci, precision, mean_iou })
-    };
-    [0.0].into_iter().chain(evaluation.config.size_edges_px.iter().copied()).filter_map(row).collect()
 }
 
 #[cfg(test)]

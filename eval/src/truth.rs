@@ -54,6 +54,19 @@ impl Truth {
         Self::read(&list, dataset.dir.clone(), dataset.header.boxes)
     }
 
+    /// Opens every split of a dataset, one behind the other.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_all(path: impl AsRef<Path>) -> Result<Self, EvalError> {
+        let dataset = Dataset::open(path)?;
+        let mut records = Vec::new();
+        for split in Split::ALL.into_iter().filter(|s| dataset.list_path(*s).is_file()) {
+            records.extend(Self::read(&dataset.list_path(split), dataset.dir.clone(), dataset.header.boxes)?.records);
+        }
+        Ok(Self { path: dataset.dir.clone(), ..Self::new(records, dataset.header.boxes, Some(dataset.dir.clone())) })
+    }
+
     fn read(path: &Path, dir: PathBuf, boxes: BoxConvention) -> Result<Self, EvalError> {
         let mut records: Vec<Record> = Vec::new();
         let mut problems = Vec::new();

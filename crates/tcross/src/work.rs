@@ -8,7 +8,7 @@ use crate::{
 };
 use std::{path::Path, sync::atomic::Ordering};
 use tcross_datagen::{Backgrounds, DatagenError, GenerateOptions};
-use tcross_dataset::Dataset;
+use tcross_dataset::{Dataset, Split};
 use tcross_infer::{Boxes, RunReport, Source};
 use tcross_train::{End, RunSummary};
 
@@ -87,6 +87,18 @@ pub fn train(config: &Config, data: &Path, options: &tcross_train::RunOptions) -
         return Err(Failure::Interrupted { kept });
     }
     Ok(summary)
+}
+
+/// Every split of datasets, one behind the other.
+pub fn all_splits(datasets: &[impl AsRef<Path>]) -> Outcome<Source> {
+    let mut all = Source::default();
+    for path in datasets {
+        let dataset = Dataset::open(path)?;
+        for split in Split::ALL.into_iter().filter(|s| dataset.list_path(*s).is_file()) {
+            all.items.extend(Source::open(&[path], Some(split))?.items);
+        }
+    }
+    Ok(all)
 }
 
 /// Looks at every image of a source; `show` gets each line of detections.

@@ -5,6 +5,7 @@ use crate::{
     matching::{Claim, Tally, tally},
 };
 use serde::Serialize;
+use std::borrow::Cow;
 
 /// Counts over a set of images at one threshold.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -186,17 +187,23 @@ impl Scores {
     /// Counts everything once; `draws` bootstrap draws over images.
     #[must_use]
     pub fn new(images: &[MatchedImage], thresholds: &[f64], draws: usize, seed: u64) -> Self {
+        Self::from_fn(images.len(), |i| Cow::Borrowed(&images[i]), thresholds, draws, seed)
+    }
+
+    /// The same of images that are made one at a time.
+    #[must_use]
+    pub fn from_fn<'a>(images: usize, image: impl Fn(usize) -> Cow<'a, MatchedImage>, thresholds: &[f64], draws: usize, seed: u64) -> Self {
         let n = thresholds.len();
         let mut scores = Self {
-            images: images.len() as u64,
+            images: images as u64,
             empty_images: 0,
             thresholds: thresholds.to_vec(),
             counts: vec![Counts::default(); n],
             fp_on_empty: vec![0; n],
             draws: Bootstrap::new(0, 1, 0, seed, |_, _| {}),
         };
-        let bootstrap = Bootstrap::new(images.len(), Columns(n).width(), draws, seed, |i, row| {
-            let image = &images[i];
+        let bootstrap = Bootstrap::new(images, Columns(n).width(), draws, seed, |i, row| {
+            let image = image(i);
             for (k, t) in tally(&image.claims, image.markers as usize, thresholds).iter().enumerate() {
                 scores.counts[k].add(u64::from(image.markers), t);
                 scores.fp_on_empty[k] += if image.markers == 0 { t.fp } else { 0 };

@@ -24,7 +24,7 @@ pub struct Figure {
 }
 
 impl Figure {
-    fn new(key: &str, title: &str, plot: &LinePlot) -> Self {
+    pub(super) fn new(key: &str, title: &str, plot: &LinePlot) -> Self {
         Self { key: key.into(), title: title.into(), canvas: plot.draw() }
     }
 }

@@ -2,6 +2,7 @@
 mod figures;
 mod gallery;
 mod html;
+mod sweeps;
 mod tables;
 
 pub use figures::Figure;
@@ -17,6 +18,7 @@ use crate::{
     metrics,
     paper_tables::{self, PaperRow},
     slices,
+    sweep::Sweep,
     table::Table,
     truth::Truth,
 };
@@ -66,6 +68,8 @@ pub struct Report<'a> {
     pub title: String,
     /// One or more. Runs on the same [`Truth`] are also compared pair by pair.
     pub runs: Vec<Run<'a>>,
+    /// Curves over one-factor datasets.
+    pub sweeps: Vec<Sweep>,
     /// Further parts, after the figures.
     pub extras: Vec<Extra>,
     /// How it was made: configuration, seeds, digests, versions, machine, times; in this order.
@@ -106,16 +110,22 @@ impl Report<'_> {
     #[must_use]
     pub fn build(&self) -> Built {
         let several = self.runs.len() > 1;
-        let mut tables = vec![NamedTable::new("headline", self.headline())];
+        let mut tables = Vec::new();
+        if !self.runs.is_empty() {
+            tables.push(NamedTable::new("headline", self.headline()));
+        }
         let comparisons = self.comparisons();
         for (k, c) in comparisons.iter().enumerate() {
             tables.push(NamedTable::new(format!("compare-{}", k + 1), tables::comparison(c)));
         }
+        tables.extend(tables::min_side(&self.runs).map(|t| NamedTable::new("min-side", t)));
         tables.extend(tables::coco(&self.runs).map(|t| NamedTable::new("coco", t)));
         let mut figures = Vec::new();
         if !self.runs.is_empty() {
             figures.extend([figures::figure_20(&self.runs), figures::froc(&self.runs), figures::precision_recall(&self.runs)]);
         }
+        tables.extend(sweeps::tables(&self.sweeps));
+        figures.extend(sweeps::figures(&self.sweeps));
         let mut galleries = Vec::new();
         let mut problems = Vec::new();
         for run in &self.runs {
@@ -140,7 +150,9 @@ impl Report<'_> {
             }));
             problems.extend(run.evaluation.problems.iter().map(|(kind, n)| format!("{heading}{n} {}", kind.words())));
         }
-        tables.push(NamedTable::new("paper", tables::paper()));
+        if !self.runs.is_empty() {
+            tables.push(NamedTable::new("paper", tables::paper()));
+        }
         Built {
             title: self.title.clone(),
             verdicts: self.runs.iter().map(verdict).collect(),
@@ -166,7 +178,7 @@ impl Report<'_> {
     #[must_use]
     pub fn metrics(&self) -> Value {
         let blocks = |run: &Run| metrics::metrics(run.truth, run.evaluation, run.validation);
-        match self.runs.as_slice() {
+        let mut out = match self.runs.as_slice() {
             [run] => Value::Object(blocks(run)),
             runs => {
                 let block = |run: &Run| {
@@ -181,7 +193,11 @@ impl Report<'_> {
                     false => json!({"compare": {"files": blocks, "differences": comparisons}}),
                 }
             }
+        };
+        if !self.sweeps.is_empty() {
+            out["sweeps"] = json!(self.sweeps);
         }
+        out
     }
 }
 
@@ -198,7 +214,6 @@ fn build_run(run: &Run) -> Part {
     if evaluation.config.wants(crate::Protocol::Paper) {
         part.tables.push(NamedTable::new("thresholds", tables::thresholds(evaluation)));
         part.tables.push(NamedTable::new("summary", tables::summary(run)));
-        part.tables.push(NamedTable::new("size-at-least", tables::at_least(&slices::at_least(truth, evaluation))));
         part.figures.push(figures::over_threshold(run));
         part.figures.push(figures::reliability(&calibration(&evaluation.images)));
     }

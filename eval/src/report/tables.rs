@@ -6,13 +6,14 @@ use crate::{
     curves,
     evaluation::Evaluation,
     failures, metrics,
+    min_side::min_sides,
     paper_tables::{self, PaperRow},
     protocol::{
         coco::CocoScores,
         paper::Row,
         pose::{PoseScores, Spread},
     },
-    slices::{AtLeast, Slice},
+    slices::Slice,
     table::{Cell, Table},
     verdict::RowVerdict,
 };
@@ -48,10 +49,16 @@ pub fn headline(runs: &[Run]) -> Table {
             }
         }
         above = run.paper();
-        table.rows.push(our_row(&run.evaluation.name, &row));
+        table.rows.push(our_row(&run.evaluation.name, "ours", &row));
         if let Some(paper) = run.paper() {
             table.rows.push(verdict_row(&RowVerdict::new(&row, run.evaluation.scores.images, paper)));
         }
+        if let Some((chosen, _)) = run.validation.and_then(metrics::chosen_threshold) {
+            table.rows.push(our_row(&run.evaluation.name, &format!("ours at {chosen:.2} *"), &run.evaluation.row_at(chosen)));
+        }
+    }
+    if runs.iter().any(|r| r.validation.is_some()) {
+        table.notes.push("* The threshold of highest F1 on the validation split, applied to this one.".into());
     }
     table.notes.push(
         "Intervals: bootstrap over images for the mean IoU, Wilson for rates. Verdict: ours is above, within or below the paper's value \
@@ -77,10 +84,10 @@ fn paper_rows(p: &PaperRow) -> Vec<Vec<Cell>> {
     vec![printed, row("paper, recomputed", Number(p.percent_fn(), 1), Number(p.precision(), 3), Number(p.recall(), 3))]
 }
 
-fn our_row(name: &str, r: &Row) -> Vec<Cell> {
+fn our_row(name: &str, whose: &str, r: &Row) -> Vec<Cell> {
     vec![
         Cell::text(name),
-        Cell::text("ours"),
+        Cell::text(whose),
         Cell::Count(r.tp + r.fn_),
         Cell::number(r.mean_iou, 3),
         Cell::range(r.mean_iou_ci, 3),
@@ -141,6 +148,7 @@ pub fn thresholds(evaluation: &Evaluation) -> Table {
 /// COCO's twelve numbers, a row a run.
 pub fn coco(runs: &[Run]) -> Option<Table> {
     let columns = ["run", "AP", "AP50", "AP75", "AP small", "AP medium", "AP large", "AR1", "AR10", "AR100"];
+    runs.first()?;
     let mut table = Table::new("COCO's average precision and recall.", &columns);
     for run in runs {
         let c: CocoScores = run.evaluation.coco?;
@@ -151,24 +159,42 @@ pub fn coco(runs: &[Run]) -> Option<Table> {
     Some(table)
 }
 
-/// Markers of at least some size.
-pub fn at_least(rows: &[AtLeast]) -> Table {
-    let columns = ["short side", "markers", "found", "recall", "95 %", "false positives", "precision", "mean IoU"];
-    let mut table = Table::new("Markers whose box has a short side of at least so many pixels.", &columns);
-    for r in rows {
-        table.rows.push(vec![
-            Cell::text(if r.min_px == 0.0 { "all".into() } else { format!(">= {} px", r.min_px) }),
-            Cell::Count(r.markers),
-            Cell::Count(r.tp),
-            Cell::Number(r.recall, 3),
-            Cell::Range(r.recall_ci, 3),
-            Cell::Count(r.fp),
-            Cell::number(r.precision, 3),
-            Cell::Number(r.mean_iou, 3),
-        ]);
+/// The metrics of markers of at least some size, a row a run and size; `None` where no size is asked for.
+pub fn min_side(runs: &[Run]) -> Option<Table> {
+    let columns = ["run", "short side", "markers", "ignored", "mean IoU", "TP", "FP", "FN", "precision", "95 %", "recall", "95 %", "F1"];
+    let threshold = runs.first()?.evaluation.config.threshold;
+    let mut table =
+        Table::new(format!("Markers whose box has a short side of at least so many pixels, at score threshold {threshold}."), &columns);
+    for run in runs {
+        let mut row = |side: String, ignored: u64, r: &Row| {
+            table.rows.push(vec![
+                Cell::text(&run.evaluation.name),
+                Cell::text(side),
+                Cell::Count(r.tp + r.fn_),
+                Cell::Count(ignored),
+                Cell::number(r.mean_iou, 3),
+                Cell::Count(r.tp),
+                Cell::Count(r.fp),
+                Cell::Count(r.fn_),
+                Cell::number(r.precision, 3),
+                Cell::range(r.precision_ci, 3),
+                Cell::number(r.recall, 3),
+                Cell::range(r.recall_ci, 3),
+                Cell::number(r.f1, 3),
+            ]);
+        };
+        row("all".into(), 0, &run.evaluation.headline());
+        for at in min_sides(run.truth, run.evaluation) {
+            row(format!(">= {} px", at.min_side_px), at.ignored_markers, &at.headline);
+        }
     }
-    table.notes.push("Every false positive is counted against every row, whatever its size.".into());
-    table
+    table.notes.push(
+        "Smaller markers are ignored, and so is what is matched to them; a detection that matches nothing is a false positive only if its \
+         own short side is at least that."
+            .into(),
+    );
+    let asked = runs.iter().any(|r| !r.evaluation.config.min_side_px.is_empty() && r.evaluation.config.wants(crate::Protocol::Paper));
+    asked.then_some(table)
 }
 
 /// Recall and mean IoU of the classes of a factor.

@@ -43,6 +43,7 @@ fn writes_what_the_contract_names() {
         paper: Some(PaperRef { table: 7, row: "real".into() }),
         bootstrap_draws: 20,
         size_edges_px: vec![16.0, 24.0],
+        min_side_px: vec![16.0, 24.0],
         ..Config::default()
     };
     let source = folder.path().join("detections.jsonl");
@@ -51,7 +52,7 @@ fn writes_what_the_contract_names() {
     let extras = vec![Extra { title: "Training".into(), fragments: vec!["<svg id=\"loss\"></svg>".into()] }];
     let provenance = vec![("Seed".to_owned(), "7 & more".to_owned())];
     let out = folder.path().join("eval");
-    Report { title: "A <small> set".into(), runs: vec![run], extras, provenance }.build().write(&out).unwrap();
+    Report { title: "A <small> set".into(), runs: vec![run], sweeps: vec![], extras, provenance }.build().write(&out).unwrap();
 
     let metrics: serde_json::Value = serde_json::from_str(&files::read_text(out.join("metrics.json")).unwrap()).unwrap();
     let paper = &metrics["paper"];
@@ -63,11 +64,14 @@ fn writes_what_the_contract_names() {
     assert!(paper["rows"][13].get("precision").is_some() && metrics.get("pose").is_none());
     assert_eq!(paper["fp_per_1000_without_marker"]["value"], 500.0);
     assert_eq!(paper["errors"], serde_json::json!({"missed": 1, "background": 2, "duplicate": 1, "misplaced": 0}));
+    let sides: Vec<_> =
+        paper["min_side"].as_array().unwrap().iter().map(|s| (&s["min_side_px"], &s["markers"], &s["headline"]["fp"])).collect();
+    assert_eq!(sides, [(&16.0.into(), &2.into(), &1.into()), (&24.0.into(), &0.into(), &0.into())]);
     assert!(metrics["coco"]["ap50"].as_f64().unwrap() > 0.3);
     assert_eq!(paper["verdict"]["recall"], "below");
     assert_eq!(paper["chosen_on_validation"]["threshold"], 0.81);
 
-    for name in ["headline", "thresholds", "coco", "paper", "size-at-least"] {
+    for name in ["headline", "thresholds", "coco", "paper", "min-side"] {
         for kind in ["md", "csv", "tex"] {
             assert!(out.join(format!("tables/{name}.{kind}")).is_file(), "{name}.{kind}");
         }
@@ -91,7 +95,9 @@ fn the_same_bytes_twice() {
     let make = || {
         let source = folder.path().join("detections.jsonl");
         let evaluation = evaluate(&truth, "small", source.as_path().into(), &Config::default(), false).unwrap();
-        Report { title: "t".into(), runs: vec![Run::new(&truth, &evaluation)], extras: vec![], provenance: vec![] }.build().html()
+        Report { title: "t".into(), runs: vec![Run::new(&truth, &evaluation)], sweeps: vec![], extras: vec![], provenance: vec![] }
+            .build()
+            .html()
     };
     assert!(make() == make());
 }

@@ -1,9 +1,13 @@
 //! `tcross eval TRUTH DETECTIONS...`
-use super::{ConfigArgs, example, must_exist};
-use crate::{console, exit::Outcome, work};
+use super::{ConfigArgs, Part, example, must_exist};
+use crate::{
+    config, console,
+    exit::{Failure, Outcome},
+    work,
+};
 use std::path::{Path, PathBuf};
-use tcross_dataset::Split;
-use tcross_eval::{Protocol, Report, Run, Truth, evaluate};
+use tcross_dataset::{Split, files};
+use tcross_eval::{Evaluation, Factor, Protocol, Report, Run, Truth, evaluate, sweep, sweep::Sweep};
 
 const EXAMPLE: &str = "eval data/hand-drawn detections.jsonl --protocol paper,coco --out report";
 
@@ -12,9 +16,10 @@ const EXAMPLE: &str = "eval data/hand-drawn detections.jsonl --protocol paper,co
 #[command(after_help = example(EXAMPLE))]
 pub struct Args {
     /// A dataset's folder, or one of its lists
-    truth: PathBuf,
+    #[arg(required_unless_present = "sweep")]
+    truth: Option<PathBuf>,
     /// Files of detections; several are compared
-    #[arg(required = true)]
+    #[arg(required_unless_present = "sweep")]
     detections: Vec<PathBuf>,
     /// What to compute: paper, coco, pose
     #[arg(long, value_delimiter = ',', value_name = "P", value_parser = protocol)]
@@ -25,9 +30,16 @@ pub struct Args {
     /// Counts faults of the detections in the report in place of refusing them
     #[arg(long)]
     lenient: bool,
-    /// Which part of the dataset
-    #[arg(long, value_parser = |s: &str| s.parse::<Split>())]
-    split: Option<Split>,
+    /// Which part of the dataset: train, val, test or all [default: test]
+    #[arg(long)]
+    split: Option<Part>,
+    /// Curves over a one-factor dataset: FACTOR is blur, tilt, size, occlusion, noise or light; may be repeated
+    #[arg(long, num_args = 3, value_names = ["FACTOR", "DATASET", "DETECTIONS"])]
+    sweep: Vec<String>,
+    /// Detections of the validation split by the same detector, one file for each of DETECTIONS: the threshold of highest F1
+    /// there is applied here
+    #[arg(long, value_name = "F.jsonl")]
+    validation: Vec<PathBuf>,
     /// Scores at which the paper's metrics are given
     #[arg(long, value_delimiter = ',', value_name = "T")]
     thresholds: Vec<f64>,
@@ -57,25 +69,35 @@ pub fn run(args: Args) -> Outcome {
         }
     })?;
     let Some(config) = config else { return Ok(()) };
-    must_exist(&args.truth, "dataset or list")?;
-    let truth = Truth::open(&args.truth, args.split)?;
+    let mut provenance = work::provenance();
+    let truth = match &args.truth {
+        Some(path) => open(path, args.split, &mut provenance)?,
+        None => Truth::new(Vec::new(), Default::default(), None),
+    };
     let mut evaluations = Vec::new();
     for path in &args.detections {
-        must_exist(path, "file of detections")?;
-        evaluations.push(evaluate(&truth, &name_of(path, &args.detections), path.as_path().into(), &config.eval, args.lenient)?);
+        evaluations.push(score(&truth, path, &name_of(path, &args.detections), &config.eval, args.lenient, &mut provenance)?);
     }
-    let mut provenance = work::provenance();
-    provenance.push(("truth".into(), format!("{}, {} images, {} markers", args.truth.display(), truth.records.len(), truth.markers())));
-    let title = if evaluations.len() == 1 { format!("Detections of {}", evaluations[0].name) } else { "Detections compared".into() };
-    let runs = evaluations.iter().map(|e| Run::new(&truth, e)).collect();
-    let built = Report { title, runs, extras: Vec::new(), provenance }.build();
+    let validations = validations(&args, &config.eval, &mut provenance)?;
+    let sweeps = sweeps(&args, &config.eval, &mut provenance)?;
+    provenance.push(("config".into(), config::commented(&config)?));
+    let title = match evaluations.as_slice() {
+        [] => "Sweeps".into(),
+        [one] => format!("Detections of {}", one.name),
+        _ => "Detections compared".into(),
+    };
+    let run = |(k, e)| Run { validation: validations.get(k), ..Run::new(&truth, e) };
+    let runs = evaluations.iter().enumerate().map(run).collect();
+    let built = Report { title, runs, sweeps, extras: Vec::new(), provenance }.build();
     for problem in &built.problems {
         console::warn(problem);
     }
     match &args.out {
         Some(out) => {
             built.write(out)?;
-            console::result(&built.tables[0].table.markdown());
+            for named in built.tables.iter().filter(|t| ["headline", "min-side", "sweeps"].contains(&t.key.as_str())) {
+                console::result(&format!("{}\n", named.table.markdown()));
+            }
             console::note(&format!("{}", out.join("report.html").display()));
         }
         None => {
@@ -85,6 +107,63 @@ pub fn run(args: Args) -> Outcome {
         }
     }
     Ok(())
+}
+
+/// Opens a truth and notes what it is.
+fn open(path: &Path, part: Option<Part>, provenance: &mut Vec<(String, String)>) -> Outcome<Truth> {
+    must_exist(path, "dataset or list")?;
+    let truth = match part {
+        Some(Part::All) => Truth::open_all(path)?,
+        Some(Part::One(split)) => Truth::open(path, Some(split))?,
+        None => Truth::open(path, None)?,
+    };
+    provenance.push(("truth".into(), format!("{}: {} images, {} markers", truth.path.display(), truth.records.len(), truth.markers())));
+    if truth.path.is_file() {
+        provenance.push(("digest of the truth".into(), files::digest(&truth.path)?));
+    }
+    Ok(truth)
+}
+
+/// Scores a file of detections and notes its digest.
+fn score(
+    truth: &Truth,
+    path: &Path,
+    name: &str,
+    config: &tcross_eval::Config,
+    lenient: bool,
+    provenance: &mut Vec<(String, String)>,
+) -> Outcome<Evaluation> {
+    must_exist(path, "file of detections")?;
+    provenance.push((format!("digest of {}", path.display()), files::digest(path)?));
+    Ok(evaluate(truth, name, path.into(), config, lenient)?)
+}
+
+/// The curves over one-factor datasets.
+fn sweeps(args: &Args, config: &tcross_eval::Config, provenance: &mut Vec<(String, String)>) -> Outcome<Vec<Sweep>> {
+    let paths: Vec<PathBuf> = args.sweep.chunks(3).map(|s| PathBuf::from(&s[2])).collect();
+    let one = |(k, words): (usize, &[String])| {
+        let factor: Factor = words[0].parse().map_err(|e| Failure::usage(format!("--sweep: {e}")))?;
+        let truth = open(Path::new(&words[1]), args.split, provenance)?;
+        let evaluation = score(&truth, &paths[k], &name_of(&paths[k], &paths), config, args.lenient, provenance)?;
+        Ok(sweep(&truth, &evaluation, factor)?)
+    };
+    args.sweep.chunks(3).enumerate().map(one).collect()
+}
+
+/// The files of validation detections scored against the validation split of the truth's dataset.
+fn validations(args: &Args, config: &tcross_eval::Config, provenance: &mut Vec<(String, String)>) -> Outcome<Vec<Evaluation>> {
+    if args.validation.is_empty() {
+        return Ok(Vec::new());
+    }
+    if args.validation.len() != args.detections.len() {
+        let (n, of) = (args.validation.len(), args.detections.len());
+        return Err(Failure::usage(format!("--validation: {n} files for {of} of DETECTIONS; give one for each, in the same order")));
+    }
+    let Some(path) = &args.truth else { return Err(Failure::usage("--validation needs TRUTH and DETECTIONS")) };
+    let dir = if path.is_file() { path.parent().unwrap_or(Path::new(".")) } else { path };
+    let truth = open(dir, Some(Part::One(Split::Val)), provenance)?;
+    let config = config.for_a_threshold();
+    args.validation.iter().map(|path| score(&truth, path, "validation", &config, args.lenient, provenance)).collect()
 }
 
 /// The file's name without its ending, or its folder's where several files have one name.

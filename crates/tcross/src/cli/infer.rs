@@ -1,12 +1,11 @@
 //! `tcross infer MODEL INPUT...`
-use super::{ConfigArgs, example, must_exist};
+use super::{ConfigArgs, Part, example, must_exist};
 use crate::{
     console,
     exit::{Failure, Outcome},
     work,
 };
 use std::path::PathBuf;
-use tcross_dataset::Split;
 use tcross_infer::{Boxes, Camera, Detector, RunOptions, Source};
 
 const EXAMPLE: &str = "infer runs/quickstart/run photos/ --out detections.jsonl --overlay overlays --pose";
@@ -25,9 +24,9 @@ pub struct Args {
     /// Folder for pictures with the detections drawn on them
     #[arg(long, value_name = "DIR")]
     overlay: Option<PathBuf>,
-    /// Which part of a dataset
-    #[arg(long, value_parser = |s: &str| s.parse::<Split>())]
-    split: Option<Split>,
+    /// Which part of a dataset: train, val, test or all [default: test]
+    #[arg(long)]
+    split: Option<Part>,
     /// Keeps detections of at least this score, 0 to 1
     #[arg(long, value_name = "S")]
     score: Option<f64>,
@@ -81,7 +80,11 @@ pub fn run(args: Args) -> Outcome {
     for input in inputs {
         must_exist(input, "input")?;
     }
-    let source = Source::open(inputs, args.split)?;
+    let source = match args.split {
+        Some(Part::All) => work::all_splits(inputs)?,
+        Some(Part::One(split)) => Source::open(inputs, Some(split))?,
+        None => Source::open(inputs, None)?,
+    };
     let options = RunOptions {
         out: args.out.clone(),
         overlay: args.overlay,

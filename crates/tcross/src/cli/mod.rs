@@ -19,6 +19,7 @@ use clap::{
     error::{ContextKind, ErrorKind},
 };
 use std::path::{Path, PathBuf};
+use tcross_dataset::Split;
 
 const ABOUT: &str =
     "Draws fiducial markers like a hand, trains a YOLOv3 on them, finds them and their pose, and scores it all as the paper did.";
@@ -144,6 +145,20 @@ fn missing(error: &clap::Error) -> String {
     let example = command.get_after_help().map(ToString::to_string).unwrap_or_default();
     let example = example.lines().nth(1).unwrap_or("tcross --help").trim();
     format!("tcross {path}: {what}; type for instance: {example}").replace(" :", ":")
+}
+
+/// Which part of a dataset: one split, or all of it.
+#[derive(Debug, Clone, Copy)]
+enum Part {
+    One(Split),
+    All,
+}
+
+impl std::str::FromStr for Part {
+    type Err = String;
+    fn from_str(s: &str) -> Result<Self, String> {
+        if s == "all" { Ok(Self::All) } else { s.parse().map(Self::One).map_err(|e| format!("{e}, or all")) }
+    }
 }
 
 /// A config and changes of it: shared by the commands that take one.

@@ -25,7 +25,7 @@ impl Layer {
     }
 
     /// A file after all those it extends; `open` are the files that led here.
-    fn chain<T: DeserializeOwned>(path: &Path, open: &mut Vec<PathBuf>) -> Outcome<Vec<Self>> {
+    fn chain<T: DeserializeOwned + JsonSchema>(path: &Path, open: &mut Vec<PathBuf>) -> Outcome<Vec<Self>> {
         if !path.is_file() {
             let by = open.last().map_or(String::new(), |p| format!(" (extended by {})", p.display()));
             return Err(Failure::new(format!("{}: no such config{by}{}", path.display(), nearest::path_hint(path))));
@@ -39,13 +39,36 @@ impl Layer {
             Some(parents) => parents.try_into::<Extends>().map_err(|e| Failure::new(format!("{}: extends: {e}", path.display())))?,
             None => Extends::default(),
         };
+        let beside = |parent: &Path| tidy(&path.with_file_name("").join(parent));
         let mut layers = Vec::new();
         for parent in parents.files() {
-            layers.extend(Self::chain::<T>(&tidy(&path.with_file_name("").join(parent)), open)?);
+            layers.extend(Self::chain::<T>(&beside(parent), open)?);
+        }
+        let rows = layer.table.get_mut("run").and_then(Value::as_array_mut);
+        for row in rows.into_iter().flatten().filter_map(Value::as_table_mut) {
+            Self::inline::<T>(row, beside, open)?;
         }
         open.pop();
         layers.push(layer);
         Ok(layers)
+    }
+
+    /// Turns the files that a row extends into changes of the row, under its own.
+    fn inline<T: DeserializeOwned + JsonSchema>(row: &mut Table, beside: impl Fn(&Path) -> PathBuf, open: &mut Vec<PathBuf>) -> Outcome {
+        // It was read strictly already.
+        let Some(Ok(parents)) = row.remove("extends").map(Value::try_into::<Extends>) else { return Ok(()) };
+        let root = schemars::schema_for!(T).to_value();
+        let mut set = Table::new();
+        for parent in parents.files() {
+            for layer in Self::chain::<T>(&beside(parent), open)? {
+                lay(&mut set, layer.table, Schema::new(&root));
+            }
+        }
+        if let Some(Value::Table(own)) = row.remove("set") {
+            lay(&mut set, own, Schema::new(&root));
+        }
+        row.insert("set".into(), Value::Table(set));
+        Ok(())
     }
 
     /// `section.key=value`; the value is TOML, or a bare word.
@@ -183,6 +206,18 @@ mod tests {
         assert_eq!((config.seed, config.data.images, config.data.width, config.train.batch), (1, 30, 96, 3));
         // Structs are merged; choices by weight are replaced as a whole.
         assert_eq!((config.data.markers.cut, config.data.markers.shapes.len()), (0.5, 1));
+    }
+
+    #[test]
+    fn a_row_extends_files_of_its_own() {
+        let dir = tempfile::tempdir().unwrap();
+        write(dir.path(), "preset.toml", "seed = 9\n[data]\nimages = 10\nwidth = 64");
+        let path = write(dir.path(), "top.toml", "[[run]]\nname = 'a'\nextends = 'preset.toml'\nset.data.width = 96");
+        let config = load(Some(&path), &[]).unwrap();
+        let row = with(&config, &config.run[0].set, "run 'a'").unwrap();
+        assert_eq!((config.seed, row.seed, row.data.images, row.data.width), (0, 9, 10, 96));
+        let path = write(dir.path(), "top.toml", "[[run]]\nname = 'a'\nextends = 'preset.tml'");
+        assert!(load(Some(&path), &[]).unwrap_err().to_string().contains("preset.tml: no such config (extended by "));
     }
 
     #[test]

@@ -79,6 +79,9 @@ impl Extends {
 pub struct Run {
     /// What the row is called in the table; its folder is the same word with `-` between letters.
     pub name: String,
+    /// Configs laid over this one for the row, relative to this file, before `set`: one, or a list.
+    #[serde(default, skip_serializing_if = "Extends::is_empty")]
+    pub extends: Extends,
     /// What differs, as in a config: `set.data.images = 300`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub set: BTreeMap<String, serde_json::Value>,
@@ -96,6 +99,9 @@ pub struct Expect {
     pub run: Option<String>,
     /// A number of `metrics.json`: `mean_iou`, `precision`, `recall` ... at the headline threshold, or a path such as `coco.ap50`.
     pub metric: String,
+    /// Of markers whose box has a short side of at least so many pixels: one of `eval.min_side_px`; absent: of all.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub min_side_px: Option<f64>,
     /// What it should be.
     pub value: f64,
     /// How much worse it may be.

@@ -47,6 +47,11 @@ impl Ledger {
         Ok(files::write_atomically(&self.path, text)?)
     }
 
+    /// Stages and the digests of what they made, in order of name.
+    pub fn digests(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.entries.iter().filter_map(|(k, e)| Some((k.as_str(), e.outputs.as_deref()?)))
+    }
+
     /// Stages and how long each took, in order of name.
     pub fn times(&self) -> impl Iterator<Item = (&str, f64)> {
         self.entries.iter().filter_map(|(k, e)| Some((k.as_str(), e.seconds?)))

@@ -2,6 +2,7 @@
 //!
 //! A config without `[[run]]` is one row and lies in the folder as `data`, `run`, `detections.jsonl`. With rows, each has a
 //! folder of its own with the same names. The report over all rows is `eval` and `report.html` at the top.
+mod expect;
 mod ledger;
 mod report;
 
@@ -74,12 +75,23 @@ impl Row {
         self.dir.join("detections.jsonl")
     }
 
+    /// Detections of the validation split, which choose a threshold; `None` where there is no such split.
+    pub fn validation(&self) -> Option<PathBuf> {
+        let some = std::fs::metadata(self.data().join("val.jsonl")).is_ok_and(|m| m.len() > 0);
+        (some && !self.tests_on_all()).then(|| self.dir.join("validation.jsonl"))
+    }
+
+    /// True where every split is for testing: a one-factor dataset seen with the network of another row.
+    pub fn tests_on_all(&self) -> bool {
+        self.config.eval.sweep.is_some() && self.network_of.is_some()
+    }
+
     /// What must be there for a stage to count as done.
     fn results(&self, stage: Stage) -> Vec<PathBuf> {
         match stage {
             Stage::Data => vec![self.data().join("dataset.toml")],
             Stage::Train => vec![self.run().join("best.safetensors"), self.run().join("model.toml")],
-            Stage::Infer => vec![self.detections()],
+            Stage::Infer => [self.detections()].into_iter().chain(self.validation()).collect(),
             Stage::Eval => vec![self.dir.join("eval/metrics.json"), self.dir.join("report.html")],
         }
     }
@@ -224,7 +236,8 @@ impl Job<'_> {
     /// Scores all rows together, unless nothing changed, and prints the table.
     fn report(&mut self, title: &str, config: &Config) -> Outcome {
         let key = Stage::Eval.name();
-        let inputs: Vec<String> = (0..self.rows.len()).map(|k| self.inputs(Stage::Eval, k)).collect::<Outcome<_>>()?;
+        let mut inputs: Vec<String> = (0..self.rows.len()).map(|k| self.inputs(Stage::Eval, k)).collect::<Outcome<_>>()?;
+        inputs.push(serde_json::json!(config.expect).to_string());
         let inputs = files::digest_bytes(inputs.join("\n"));
         let results = [self.out.join("eval/metrics.json"), self.out.join("report.html")];
         let done =
@@ -308,10 +321,16 @@ fn train(row: &Row, resume: bool, ours: bool) -> Outcome {
 
 fn infer(row: &Row, network: &Row) -> Outcome {
     let detector = Detector::load(network.run())?.configured(&row.config.infer);
-    let source = Source::open(&[row.data()], Some(Split::Test))?;
-    let options = tcross_infer::RunOptions { out: Some(row.detections()), ..Default::default() };
-    let report = work::infer(&mut Boxes::Detector(Box::new(detector)), &source, &row.config.infer, &options, |_| {})?;
-    console::note(&format!("infer: {} images, {} detections", report.images, report.detections));
+    let mut boxes = Boxes::Detector(Box::new(detector));
+    // Validation chooses a threshold, for which boxes are enough.
+    let without_poses = tcross_infer::Config { pose: false, ..row.config.infer.clone() };
+    let test = (Split::Test, row.detections(), &row.config.infer);
+    for (split, out, config) in [test].into_iter().chain(row.validation().map(|out| (Split::Val, out, &without_poses))) {
+        let source = if row.tests_on_all() { work::all_splits(&[row.data()])? } else { Source::open(&[row.data()], Some(split))? };
+        let options = tcross_infer::RunOptions { out: Some(out), ..Default::default() };
+        let report = work::infer(&mut boxes, &source, config, &options, |_| {})?;
+        console::note(&format!("infer: {split}: {} images, {} detections", report.images, report.detections));
+    }
     Ok(())
 }
 

@@ -60,7 +60,7 @@ fn main() {
         let (mut out, mut dx) = (vec![0f32; shape.output_len()], vec![0f32; shape.input_len()]);
         let forward = best(|| {
             let packed = pack::forward(isa, &shape, &w);
-            black_box(conv::forward_with_statistics(isa, &shape, &x, None, &packed, &mut out));
+            black_box(conv::forward_with_statistics(&shape, &x, None, &packed, &mut out));
         });
         let input = if cin == 3 { 0.0 } else { best(|| conv::input_gradient(isa, &shape, &dz, &w, false, &mut dx)) };
         let weights = best(|| {

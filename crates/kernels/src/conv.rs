@@ -7,17 +7,9 @@ use crate::{
     simd::Isa,
 };
 
-fn gather<'a>(
-    isa: Isa,
-    shape: &ConvShape,
-    x: &'a [f32],
-    weights: &'a Panels,
-    activation: Option<Activation<'a>>,
-    finish: Finish<'a>,
-) -> Gather<'a> {
+fn gather<'a>(shape: &ConvShape, x: &'a [f32], weights: &'a Panels, activation: Option<Activation<'a>>, finish: Finish<'a>) -> Gather<'a> {
     shape.check();
     Gather {
-        isa,
         batch: shape.batch,
         source: x,
         source_size: [shape.height, shape.width, shape.in_channels],
@@ -34,20 +26,19 @@ fn gather<'a>(
 }
 
 /// The plain convolution of `x` with packed weights ([`pack::forward`]) into `out`.
-pub fn forward(isa: Isa, shape: &ConvShape, x: &[f32], weights: &Panels, out: &mut [f32]) {
-    gather(isa, shape, x, weights, None, Finish::Store).run(out);
+pub fn forward(shape: &ConvShape, x: &[f32], weights: &Panels, out: &mut [f32]) {
+    gather(shape, x, weights, None, Finish::Store).run(out);
 }
 
 /// As [`forward`], with an activation applied to `x` on the way in, and with each output channel's sum and sum of squares on the way out.
 pub fn forward_with_statistics(
-    isa: Isa,
     shape: &ConvShape,
     x: &[f32],
     activation: Option<Activation>,
     weights: &Panels,
     out: &mut [f32],
 ) -> Vec<[f64; 2]> {
-    gather(isa, shape, x, weights, activation, Finish::Statistics).run(out).unwrap_or_default()
+    gather(shape, x, weights, activation, Finish::Statistics).run(out).unwrap_or_default()
 }
 
 /// What inference does to a convolution's result before it is written.
@@ -62,9 +53,9 @@ pub struct Epilogue<'a> {
 }
 
 /// `leaky(convolution + bias) + residual` in one pass.
-pub fn forward_activated(isa: Isa, shape: &ConvShape, x: &[f32], weights: &Panels, epilogue: Epilogue, out: &mut [f32]) {
+pub fn forward_activated(shape: &ConvShape, x: &[f32], weights: &Panels, epilogue: Epilogue, out: &mut [f32]) {
     let Epilogue { bias, slope, residual } = epilogue;
-    gather(isa, shape, x, weights, None, Finish::Activate { bias, slope, residual }).run(out);
+    gather(shape, x, weights, None, Finish::Activate { bias, slope, residual }).run(out);
 }
 
 /// The gradient of the convolution's input from that of its output, `weight` as `[out, in, kernel, kernel]`; written to `dx`, or added
@@ -82,7 +73,6 @@ pub fn input_gradient(isa: Isa, shape: &ConvShape, dz: &[f32], weight: &[f32], a
     let packed: Vec<Panels> = pairs.iter().map(|(r, c)| pack::transposed(isa, shape, weight, &r.1, &c.1)).collect();
     let strided = shape.stride == 2;
     Gather {
-        isa,
         batch: shape.batch,
         source: dz,
         source_size: [shape.out_height(), shape.out_width(), shape.out_channels],

@@ -5,8 +5,9 @@
 //! it may apply the previous layer's normalisation and activation, so that this need not be stored), then runs a register tile of
 //! pixels x channels over it. Sums for batch norm are taken while the result is still in registers.
 use crate::{
-    pack::Panels,
+    pack::{Form, Panels},
     simd::{Isa, Simd, dispatch},
+    winograd,
 };
 use rayon::prelude::*;
 use std::cell::{Cell, RefCell};
@@ -50,7 +51,6 @@ pub(crate) struct Group<'a> {
 
 /// A convolution over a source, seen as a grid of pixels that each read a small window.
 pub(crate) struct Gather<'a> {
-    pub isa: Isa,
     pub batch: usize,
     /// `[batch, rows, columns, channels]`.
     pub source: &'a [f32],
@@ -73,7 +73,7 @@ pub(crate) struct Gather<'a> {
 
 /// Tasks that a call is cut into at least, where the shape allows: the same on every machine, so that sums over tasks do not depend on
 /// the number of threads.
-const MIN_TASKS: usize = 8;
+pub(crate) const MIN_TASKS: usize = 8;
 /// Floats of a band's scratch: half of a 512 KiB second-level cache, the rest is for weights and output.
 const BAND_FLOATS: usize = 40 * 1024;
 
@@ -94,7 +94,7 @@ impl SharedMut {
 
 thread_local! {
     static SCRATCH: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
-    /// Where the pixels of a band are read and written.
+    /// See [`Gather::list_pixels`]; kept so that a call allocates nothing.
     static PIXELS: Cell<Vec<(u32, u32)>> = const { Cell::new(Vec::new()) };
 }
 
@@ -112,6 +112,31 @@ pub(crate) fn with_scratch<R>(len: usize, f: impl FnOnce(&mut [f32]) -> R) -> R 
             Err(_) => f(&mut vec![0.0; len]),
         }
     })
+}
+
+/// Runs `tasks` on all threads. With [`Finish::Statistics`] each gets `2 * padded` zeros for the sums and the sums of squares of its
+/// channels; they are added in f64, in the tasks' order.
+pub(crate) fn run_tasks(
+    tasks: usize,
+    finish: Finish,
+    channels: usize,
+    padded: usize,
+    run: impl Fn(usize, &mut [f32]) + Sync,
+) -> Option<Vec<[f64; 2]>> {
+    if !matches!(finish, Finish::Statistics) {
+        (0..tasks).into_par_iter().with_max_len(1).for_each(|task| run(task, &mut []));
+        return None;
+    }
+    let mut sums = vec![0f32; tasks * 2 * padded];
+    sums.par_chunks_mut(2 * padded).enumerate().with_max_len(1).for_each(|(task, sums)| run(task, sums));
+    let mut total = vec![[0f64; 2]; channels];
+    for task in sums.chunks_exact(2 * padded) {
+        for (c, t) in total.iter_mut().enumerate() {
+            t[0] += f64::from(task[c]);
+            t[1] += f64::from(task[padded + c]);
+        }
+    }
+    Some(total)
 }
 
 impl Gather<'_> {
@@ -152,51 +177,72 @@ impl Gather<'_> {
         if let Finish::Activate { bias, residual, .. } = self.finish {
             assert!(bias.len() == channels && residual.is_none_or(|r| r.len() == out.len()));
         }
+        if self.groups[0].weights.form == Form::Winograd {
+            return winograd::run(self, out);
+        }
         for group in &self.groups {
             assert!(group.weights.k == group.rows * group.columns * self.source_size[2] && group.weights.channels == channels);
-            assert!(group.rows <= self.window && group.columns <= self.window && group.weights.width == 2 * self.isa.lanes());
+            assert!(group.rows <= self.window && group.columns <= self.window);
+            assert!(group.weights.form == Form::Direct && group.weights.width == 2 * group.weights.isa.lanes());
         }
         let (rows, parts) = self.partition();
         let bands = self.grid[0].div_ceil(rows);
-        let wanted = matches!(self.finish, Finish::Statistics);
         let padded = self.groups[0].weights.count() * self.groups[0].weights.width;
         let to = SharedMut(out.as_mut_ptr());
-        let run = |task: usize| {
+        let mut pixels = PIXELS.take();
+        self.list_pixels(rows, &mut pixels);
+        let total = run_tasks(self.batch * bands * parts, self.finish, channels, padded, |task, sums| {
             let (image, band, part) = (task / (bands * parts), task / parts % bands, task % parts);
-            let mut sums = if wanted { vec![0f32; 2 * padded] } else { Vec::new() };
-            self.task(image, band * rows..((band + 1) * rows).min(self.grid[0]), part, parts, to, &mut sums);
-            sums
-        };
-        let tasks = self.batch * bands * parts;
-        if !wanted {
-            (0..tasks).into_par_iter().with_max_len(1).for_each(|task| {
-                run(task);
-            });
-            return None;
-        }
-        let sums: Vec<Vec<f32>> = (0..tasks).into_par_iter().with_max_len(1).map(run).collect();
-        let mut total = vec![[0f64; 2]; channels];
-        for task in &sums {
-            for (c, t) in total.iter_mut().enumerate() {
-                t[0] += f64::from(task[c]);
-                t[1] += f64::from(task[padded + c]);
-            }
-        }
-        Some(total)
+            self.task(image, band * rows..((band + 1) * rows).min(self.grid[0]), part, parts, &pixels, to, sums);
+        });
+        PIXELS.set(pixels);
+        total
     }
 
-    fn task(&self, image: usize, grid_rows: std::ops::Range<usize>, part: usize, parts: usize, out: SharedMut, sums: &mut [f32]) {
+    /// Where the pixels of a band of `rows` grid rows are read in the band and written in the output, from the band's first row on; for
+    /// each group in turn, rows first. All bands have the same list, the last one takes the beginning of it.
+    fn list_pixels(&self, rows: usize, pixels: &mut Vec<(u32, u32)>) {
+        let [_, out_columns, channels] = self.out_size;
+        let pitch = self.band_columns() * self.source_size[2];
+        pixels.clear();
+        for group in &self.groups {
+            for g in 0..rows {
+                for h in 0..self.columns_of(group) {
+                    let from = g * self.step * pitch + h * self.step * self.source_size[2];
+                    let to = (g * self.out_step * out_columns + h * self.out_step + group.first_column) * channels;
+                    pixels.push((from as u32, to as u32));
+                }
+            }
+        }
+    }
+
+    /// Columns of the grid whose pixel of this group lies in the output.
+    fn columns_of(&self, group: &Group) -> usize {
+        (self.out_size[1] - group.first_column).div_ceil(self.out_step).min(self.grid[1])
+    }
+
+    #[allow(clippy::too_many_arguments)]
+    fn task(
+        &self,
+        image: usize,
+        grid_rows: std::ops::Range<usize>,
+        part: usize,
+        parts: usize,
+        pixels: &[(u32, u32)],
+        out: SharedMut,
+        sums: &mut [f32],
+    ) {
         let source_len: usize = self.source_size.iter().product();
         let source = &self.source[image * source_len..(image + 1) * source_len];
         if self.reads_directly() {
             let first = grid_rows.start * self.grid[1] * self.source_size[2];
-            self.compute(image, grid_rows, part, parts, &source[first..], out, sums);
+            self.compute(image, grid_rows, part, parts, pixels, &source[first..], out, sums);
             return;
         }
         let band_rows = (grid_rows.len() - 1) * self.step + self.window;
         with_scratch(band_rows * self.band_columns() * self.source_size[2], |scratch| {
             copy_band(&self.band(grid_rows.start, band_rows), source, scratch);
-            self.compute(image, grid_rows, part, parts, scratch, out, sums);
+            self.compute(image, grid_rows, part, parts, pixels, scratch, out, sums);
         });
     }
 
@@ -208,7 +254,7 @@ impl Gather<'_> {
             columns: self.band_columns(),
             padding: self.padding,
             activation: self.activation,
-            isa: self.isa,
+            isa: self.groups[0].weights.isa,
         }
     }
 
@@ -219,46 +265,45 @@ impl Gather<'_> {
         rows: std::ops::Range<usize>,
         part: usize,
         parts: usize,
+        pixels: &[(u32, u32)],
         band: &[f32],
         out: SharedMut,
         sums: &mut [f32],
     ) {
         let [out_rows, out_columns, channels] = self.out_size;
         let pitch = self.band_columns() * self.source_size[2];
-        let mut pixels = PIXELS.take();
+        let full_rows = pixels.len() / self.groups.iter().map(|g| self.columns_of(g)).sum::<usize>();
         let mut runs = [0usize; 3];
+        let mut pixels = pixels;
         for group in &self.groups {
-            pixels.clear();
-            for g in rows.clone() {
-                for h in 0..self.grid[1] {
-                    let (y, x) = (g * self.out_step + group.first_row, h * self.out_step + group.first_column);
-                    if y < out_rows && x < out_columns {
-                        let from = (g - rows.start) * self.step * pitch + h * self.step * self.source_size[2];
-                        pixels.push((from as u32, ((y * out_columns + x) * channels) as u32));
-                    }
-                }
-            }
+            let (listed, others) = pixels.split_at(full_rows * self.columns_of(group));
+            pixels = others;
+            // The grid's last row may have no pixel of this group.
+            let group_rows = (out_rows - group.first_row).div_ceil(self.out_step).min(rows.end).saturating_sub(rows.start);
+            let listed = &listed[..group_rows * self.columns_of(group)];
             let runs = &mut runs[..group.rows];
             runs.iter_mut().enumerate().for_each(|(r, run)| *run = r * pitch);
             let run_len = group.columns * self.source_size[2];
-            if let (Some(last), Some(run)) = (pixels.last(), runs.last()) {
+            let first = (rows.start * self.out_step + group.first_row) * out_columns * channels;
+            if let (Some(last), Some(run)) = (listed.last(), runs.last()) {
                 assert!(last.0 as usize + run + run_len <= band.len());
+                assert!(first + last.1 as usize + channels <= out_rows * out_columns * channels);
             }
             let count = group.weights.count();
+            let image_offset = image * out_rows * out_columns * channels + first;
             let work = Work {
-                pixels: &pixels,
+                pixels: listed,
                 runs,
                 run_len,
                 band: band.as_ptr(),
-                out: out.at(image * out_rows * out_columns * channels),
-                residual_offset: image * out_rows * out_columns * channels,
+                out: out.at(image_offset),
+                residual_offset: image_offset,
                 weights: group.weights,
                 panels: part * count / parts..(part + 1) * count / parts,
                 finish: self.finish,
             };
-            run_work(self.isa, &work, sums);
+            run_work(group.weights.isa, &work, sums);
         }
-        PIXELS.set(pixels);
     }
 }
 
@@ -416,22 +461,40 @@ unsafe fn finish_tile<S: Simd, const P: usize, const V: usize>(
                 S::store(square, q);
             }
             for p in 0..P {
-                let to = work.out.add(tile[p].1 as usize + channel);
-                match work.finish {
-                    Finish::Store | Finish::Statistics => {}
-                    Finish::Accumulate => acc[p][v] = S::add(acc[p][v], load_lanes::<S>(to, lanes)),
-                    Finish::Activate { bias, slope, residual } => {
-                        let z = S::add(acc[p][v], load_lanes::<S>(bias.as_ptr().add(channel), lanes));
-                        acc[p][v] = S::max(z, S::mul(z, S::splat(slope)));
-                        if let Some(r) = residual {
-                            let r = r.as_ptr().add(work.residual_offset + tile[p].1 as usize + channel);
-                            acc[p][v] = S::add(acc[p][v], load_lanes::<S>(r, lanes));
-                        }
-                    }
-                }
-                store_lanes::<S>(to, acc[p][v], lanes);
+                finish_vector::<S>(work.finish, acc[p][v], work.out, work.residual_offset, tile[p].1 as usize, channel, lanes);
             }
         }
+    }
+}
+
+/// Writes one vector of a pixel: `lanes` channels from `channel` on, of the pixel `at` floats into the image `out`, which begins
+/// `image_offset` floats into the whole output.
+#[inline(always)]
+pub(crate) unsafe fn finish_vector<S: Simd>(
+    finish: Finish,
+    value: S::V,
+    out: *mut f32,
+    image_offset: usize,
+    at: usize,
+    channel: usize,
+    lanes: usize,
+) {
+    // SAFETY: the caller vouches for `lanes` floats of the output; bias and residual have its channels and its shape (`Gather::run`).
+    unsafe {
+        let to = out.add(at + channel);
+        let value = match finish {
+            Finish::Store | Finish::Statistics => value,
+            Finish::Accumulate => S::add(value, load_lanes::<S>(to, lanes)),
+            Finish::Activate { bias, slope, residual } => {
+                let z = S::add(value, load_lanes::<S>(bias.as_ptr().add(channel), lanes));
+                let y = S::max(z, S::mul(z, S::splat(slope)));
+                match residual {
+                    Some(r) => S::add(y, load_lanes::<S>(r.as_ptr().add(image_offset + at + channel), lanes)),
+                    None => y,
+                }
+            }
+        };
+        store_lanes::<S>(to, value, lanes);
     }
 }
 

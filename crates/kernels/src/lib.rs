@@ -14,6 +14,7 @@ pub mod resample;
 mod shape;
 pub mod simd;
 pub mod weight_gradient;
+mod winograd;
 
 pub use gather::Activation;
 pub use shape::ConvShape;

@@ -74,7 +74,7 @@ pub(crate) fn activate_row(isa: Isa, from: &[f32], activation: Activation, to: &
 fn row(isa: Isa, from: &[f32], a: Activation, residual: Option<&[f32]>, to: &mut [f32]) {
     assert!(from.len() == to.len() && a.scale.len() == a.shift.len() && from.len().is_multiple_of(a.scale.len()));
     assert!(residual.is_none_or(|r| r.len() == from.len()));
-    dispatch!(isa.dividing(a.scale.len()), row_body::<S>(from: &[f32], a: Activation, residual: Option<&[f32]>, to: &mut [f32]))
+    dispatch!(isa.filled_by(a.scale.len()), row_body::<S>(from: &[f32], a: Activation, residual: Option<&[f32]>, to: &mut [f32]))
 }
 
 /// # Safety
@@ -167,7 +167,7 @@ pub fn backward(isa: Isa, gradient: &[f32], affine: &Affine, slope: f32, frozen:
 }
 
 fn backward_sums(isa: Isa, g: &[f32], z: &[f32], affine: &Affine, slope: f32, sums: &mut [f32]) {
-    dispatch!(isa.dividing(affine.scale.len()), sums_body::<S>(g: &[f32], z: &[f32], affine: &Affine, slope: f32, sums: &mut [f32]))
+    dispatch!(isa.filled_by(affine.scale.len()), sums_body::<S>(g: &[f32], z: &[f32], affine: &Affine, slope: f32, sums: &mut [f32]))
 }
 
 /// # Safety
@@ -202,7 +202,7 @@ unsafe fn sums_body<S: Simd>(g: &[f32], z: &[f32], affine: &Affine, slope: f32, 
 }
 
 fn backward_apply(isa: Isa, g: &[f32], affine: &Affine, slope: f32, lines: &[Vec<f32>; 2], z: &mut [f32]) {
-    dispatch!(isa.dividing(affine.scale.len()), apply_body::<S>(g: &[f32], affine: &Affine, slope: f32, lines: &[Vec<f32>; 2], z: &mut [f32]))
+    dispatch!(isa.filled_by(affine.scale.len()), apply_body::<S>(g: &[f32], affine: &Affine, slope: f32, lines: &[Vec<f32>; 2], z: &mut [f32]))
 }
 
 /// # Safety

@@ -2,29 +2,43 @@
 //!
 //! A panel holds `width` output channels (two vectors): `[panel][k][width]`, where `k` runs over the inputs in the order in which the
 //! kernel meets them. The last panel is filled up with zeros.
-use crate::{ConvShape, simd::Isa};
+use crate::{ConvShape, simd::Isa, winograd};
 use rayon::prelude::*;
 
 /// Packed weights of one group of taps.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct Panels {
-    /// `[panel][k][width]`.
+    /// `[panel][k][width]`; for [`Form::Winograd`] `[panel][point][k][width]`.
     pub(crate) data: Vec<f32>,
-    /// Inputs of one output: taps times channels.
+    /// Inputs of one output: taps times channels; for [`Form::Winograd`] channels alone.
     pub(crate) k: usize,
     /// Output channels of a panel.
     pub(crate) width: usize,
     /// Output channels in all.
     pub(crate) channels: usize,
+    /// Whose vectors a panel is made for.
+    pub(crate) isa: Isa,
+    /// What the numbers are.
+    pub(crate) form: Form,
+}
+
+/// How a convolution is computed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Form {
+    /// A dot product over the window.
+    Direct,
+    /// Products of transformed 4 x 4 windows: see [`crate::winograd`].
+    Winograd,
 }
 
 impl Panels {
     /// Zeros for `channels` outputs of `k` inputs, filled a panel at a time: `fill(first channel, channels, panel)`.
-    fn pack(isa: Isa, channels: usize, k: usize, fill: impl Fn(usize, usize, &mut [f32]) + Sync) -> Self {
+    pub(crate) fn pack(isa: Isa, form: Form, channels: usize, k: usize, fill: impl Fn(usize, usize, &mut [f32]) + Sync) -> Self {
         let width = 2 * isa.lanes();
-        let mut data = vec![0f32; channels.div_ceil(width) * k * width];
-        data.par_chunks_mut(k * width).enumerate().for_each(|(p, panel)| fill(p * width, width.min(channels - p * width), panel));
-        Self { data, k, width, channels }
+        let panel = width * k * if form == Form::Winograd { winograd::POINTS } else { 1 };
+        let mut data = vec![0f32; channels.div_ceil(width) * panel];
+        data.par_chunks_mut(panel).enumerate().for_each(|(p, panel)| fill(p * width, width.min(channels - p * width), panel));
+        Self { data, k, width, channels, isa, form }
     }
 
     /// Number of panels.
@@ -38,8 +52,12 @@ impl Panels {
 pub fn forward(isa: Isa, shape: &ConvShape, weight: &[f32]) -> Panels {
     let (cin, taps) = (shape.in_channels, shape.kernel * shape.kernel);
     assert_eq!(weight.len(), shape.weight_len());
+    let isa = isa.filled_by(shape.out_channels);
+    if winograd::pays(shape) {
+        return winograd::pack_forward(isa, shape, weight);
+    }
     let (k, width) = (taps * cin, 2 * isa.lanes());
-    Panels::pack(isa, shape.out_channels, k, |first, lanes, panel| {
+    Panels::pack(isa, Form::Direct, shape.out_channels, k, |first, lanes, panel| {
         // Every stream goes on in order: a row a lane to read, a row a tap to write.
         for c in 0..cin {
             for tap in 0..taps {
@@ -60,8 +78,12 @@ pub(crate) fn transposed(isa: Isa, shape: &ConvShape, weight: &[f32], rows: &[us
     let (cin, cout, all) = (shape.in_channels, shape.out_channels, shape.kernel * shape.kernel);
     assert_eq!(weight.len(), shape.weight_len());
     let taps: Vec<usize> = rows.iter().flat_map(|row| columns.iter().map(move |column| row * shape.kernel + column)).collect();
+    let isa = isa.filled_by(cin);
+    if winograd::pays(shape) {
+        return winograd::pack_transposed(isa, shape, weight);
+    }
     let width = 2 * isa.lanes();
-    Panels::pack(isa, cin, taps.len() * cout, |first, lanes, panel| {
+    Panels::pack(isa, Form::Direct, cin, taps.len() * cout, |first, lanes, panel| {
         for o in 0..cout {
             let from = &weight[(o * cin + first) * all..][..lanes * all];
             for (t, tap) in taps.iter().enumerate() {

@@ -6,6 +6,7 @@ use crate::{
     ConvShape,
     gather::{Activation, Band, SharedMut, copy_band, with_scratch},
     simd::{Isa, Simd, dispatch},
+    winograd,
 };
 use rayon::prelude::*;
 
@@ -33,6 +34,10 @@ struct Job<'a> {
 pub fn weight_gradient(isa: Isa, shape: &ConvShape, x: &[f32], activation: Option<Activation>, dz: &[f32]) -> Vec<f32> {
     shape.check();
     assert!(x.len() == shape.input_len() && dz.len() == shape.output_len());
+    if winograd::pays(shape) {
+        return winograd::weight_gradient(isa, shape, x, activation, dz);
+    }
+    let isa = isa.filled_by(shape.out_channels);
     let width = 2 * isa.lanes();
     let panels = shape.out_channels.div_ceil(width);
     let inputs = shape.kernel * shape.kernel * shape.in_channels;

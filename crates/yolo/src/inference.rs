@@ -60,12 +60,24 @@ impl Arena {
             }
         }
     }
+
+    fn values(&self, value: Value) -> &[f32] {
+        &self.buffers[value.buffer][..value.len()]
+    }
+
+    /// Takes a buffer for `value` and lets `write` fill it.
+    fn fill(&mut self, value: Value, write: impl FnOnce(&Self, &mut [f32])) -> Value {
+        let buffer = self.take(value.len());
+        let mut out = std::mem::take(&mut self.buffers[buffer]);
+        write(self, &mut out[..value.len()]);
+        self.buffers[buffer] = out;
+        Value { buffer, ..value }
+    }
 }
 
 /// A YOLO network that only infers. It gives what [`crate::Yolo`] gives without autodiff, up to rounding.
 #[derive(Debug, Clone)]
 pub struct InferenceNet {
-    isa: Isa,
     convolutions: Vec<Folded>,
     steps: Vec<PlanStep>,
     layers: usize,
@@ -92,7 +104,7 @@ impl InferenceNet {
         let isa = Isa::detect();
         let convolutions = graph.convolutions().zip(&weights.convolutions).map(|((_, conv), w)| fold(isa, conv, w, epsilon)).collect();
         let heads = graph.heads().map(|_| Vec::new()).collect();
-        Ok(Self { isa, convolutions, steps: plan(graph, true), layers: graph.layers().len(), arena: Arena::default(), heads })
+        Ok(Self { convolutions, steps: plan(graph, true), layers: graph.layers().len(), arena: Arena::default(), heads })
     }
 
     /// One image `[3, height, width]`, RGB in 0..1, to each head's raw logits `[anchors * fields, rows, columns]`, coarse first.
@@ -103,7 +115,7 @@ impl InferenceNet {
         assert_eq!(image.len(), 3 * net.width * net.height, "an image of another size");
         let mut kept: Vec<Option<Value>> = vec![None; self.layers];
         let mut x = Value { buffer: self.arena.take(image.len()), height: net.height, width: net.width, channels: 3 };
-        interleave(image, &mut self.arena.buffers[x.buffer]);
+        resample::interleave_into(image, 1, image.len() / 3, 3, &mut self.arena.buffers[x.buffer][..image.len()]);
         let steps = std::mem::take(&mut self.steps);
         let mut head = 0;
         for PlanStep { step, layer, kept: keep, dropped } in &steps {
@@ -123,15 +135,15 @@ impl InferenceNet {
                 }
                 Step::Upsample => {
                     let y = Value { height: 2 * x.height, width: 2 * x.width, ..x };
-                    self.fill(y, |arena, out| resample::upsample_into(&arena.buffers[x.buffer][..x.len()], x.size(), out))
+                    self.arena.fill(y, |arena, out| resample::upsample_into(arena.values(x), x.size(), out))
                 }
                 Step::MaxPool(stride) => {
                     let y = Value { height: x.height.div_ceil(*stride), width: x.width.div_ceil(*stride), ..x };
-                    self.fill(y, |arena, out| resample::max_pool_into(&arena.buffers[x.buffer][..x.len()], x.size(), *stride, out))
+                    self.arena.fill(y, |arena, out| resample::max_pool_into(arena.values(x), x.size(), *stride, out))
                 }
                 Step::Head => {
                     self.heads[head].resize(x.len(), 0.0);
-                    planar(&self.arena.buffers[x.buffer][..x.len()], x.channels, &mut self.heads[head]);
+                    resample::planes_into(self.arena.values(x), x.channels, &mut self.heads[head]);
                     head += 1;
                     x
                 }
@@ -160,58 +172,36 @@ impl InferenceNet {
         &self.heads
     }
 
-    /// Takes a buffer for `value` and lets `write` fill it.
-    fn fill(&mut self, value: Value, write: impl FnOnce(&Arena, &mut [f32])) -> Value {
-        let buffer = self.arena.take(value.len());
-        let mut out = std::mem::take(&mut self.arena.buffers[buffer]);
-        write(&self.arena, &mut out[..value.len()]);
-        self.arena.buffers[buffer] = out;
-        Value { buffer, ..value }
-    }
-
     fn convolve(&mut self, index: usize, x: Value, residual: Option<Value>) -> Value {
-        let (isa, folded) = (self.isa, std::mem::take(&mut self.convolutions[index].panels));
-        let Folded { conv, bias, .. } = &self.convolutions[index];
-        let shape = ConvShape {
-            batch: 1,
-            height: x.height,
-            width: x.width,
-            in_channels: x.channels,
-            out_channels: conv.filters,
-            kernel: conv.kernel,
-            stride: conv.stride,
-        };
-        let (bias, slope) = (bias.clone(), if conv.leaky { crate::blocks::LEAKY_SLOPE as f32 } else { 1.0 });
+        let Folded { conv, panels, bias } = &self.convolutions[index];
+        let shape = shape_of(conv, x.height, x.width);
+        let slope = if conv.leaky { crate::blocks::LEAKY_SLOPE as f32 } else { 1.0 };
         let y = Value { buffer: 0, height: shape.out_height(), width: shape.out_width(), channels: shape.out_channels };
-        let y = self.fill(y, |arena, out| {
-            let values = |v: Value| &arena.buffers[v.buffer][..v.len()];
-            let epilogue = Epilogue { bias: &bias, slope, residual: residual.map(values) };
-            conv::forward_activated(isa, &shape, values(x), &folded, epilogue, out);
-        });
-        self.convolutions[index].panels = folded;
-        y
+        self.arena.fill(y, |arena, out| {
+            let epilogue = Epilogue { bias, slope, residual: residual.map(|r| arena.values(r)) };
+            conv::forward_activated(&shape, arena.values(x), panels, epilogue, out);
+        })
     }
 
     fn add(&mut self, x: Value, other: Value) -> Value {
-        self.fill(x, |arena, out| {
-            let (a, b) = (&arena.buffers[x.buffer], &arena.buffers[other.buffer]);
-            out.iter_mut().zip(a.iter().zip(b)).for_each(|(o, (a, b))| *o = a + b);
-        })
+        self.arena.fill(x, |arena, out| resample::add_into(arena.values(x), arena.values(other), out))
     }
 
     fn concat(&mut self, parts: &[Value]) -> Value {
         let channels = parts.iter().map(|p| p.channels).sum();
-        self.fill(Value { channels, ..parts[0] }, |arena, out| {
+        self.arena.fill(Value { channels, ..parts[0] }, |arena, out| {
             let mut first = 0;
             for part in parts {
-                let from = &arena.buffers[part.buffer][..part.len()];
-                for (to, from) in out.chunks_exact_mut(channels).zip(from.chunks_exact(part.channels)) {
-                    to[first..first + part.channels].copy_from_slice(from);
-                }
+                resample::concat_into(arena.values(*part), part.channels, first, channels, out);
                 first += part.channels;
             }
         })
     }
+}
+
+fn shape_of(conv: &Conv, height: usize, width: usize) -> ConvShape {
+    let Conv { in_channels, filters: out_channels, kernel, stride, .. } = *conv;
+    ConvShape { batch: 1, height, width, in_channels, out_channels, kernel, stride }
 }
 
 /// Batch norm folded: `scale = gamma / sqrt(variance + epsilon)`, the kernel times it, and `bias = beta - mean * scale`.
@@ -226,36 +216,7 @@ fn fold(isa: Isa, conv: &Conv, weights: &ConvWeights, epsilon: f64) -> Folded {
             (kernel, weights.bias.iter().zip(&norm.mean).zip(&scale).map(|((b, m), s)| b - m * s).collect())
         }
     };
-    let shape = ConvShape {
-        batch: 1,
-        height: 1,
-        width: 1,
-        in_channels: conv.in_channels,
-        out_channels: conv.filters,
-        kernel: conv.kernel,
-        stride: conv.stride,
-    };
-    Folded { conv: conv.clone(), panels: pack::forward(isa, &shape, &kernel), bias }
-}
-
-/// `[3, pixels]` to `[pixels, 3]`.
-fn interleave(planes: &[f32], out: &mut [f32]) {
-    let pixels = planes.len() / 3;
-    let (red, rest) = planes.split_at(pixels);
-    let (green, blue) = rest.split_at(pixels);
-    for (((to, r), g), b) in out.chunks_exact_mut(3).zip(red).zip(green).zip(blue) {
-        to.copy_from_slice(&[*r, *g, *b]);
-    }
-}
-
-/// `[pixels, channels]` to `[channels, pixels]`.
-fn planar(values: &[f32], channels: usize, out: &mut [f32]) {
-    let pixels = values.len() / channels;
-    for (c, plane) in out.chunks_exact_mut(pixels).enumerate() {
-        for (to, from) in plane.iter_mut().zip(values[c..].iter().step_by(channels)) {
-            *to = *from;
-        }
-    }
+    Folded { conv: conv.clone(), panels: pack::forward(isa, &shape_of(conv, 1, 1), &kernel), bias }
 }
 
 #[cfg(test)]

@@ -178,7 +178,7 @@ impl Parameters {
     ) -> (Saved, [FlexTensor; 2]) {
         let packed = pack::forward(isa, &shape, values(&self.weight));
         let mut z = buffer(shape.output_len());
-        let sums = conv::forward_with_statistics(isa, &shape, x, activation, &packed, &mut z);
+        let sums = conv::forward_with_statistics(&shape, x, activation, &packed, &mut z);
         let (mean, variance) = if settings.batch_statistics {
             norm::mean_and_variance(&sums, shape.out_pixels())
         } else {
@@ -198,7 +198,7 @@ impl Parameters {
             values(&self.weight).chunks(inputs).zip(&affine.scale).flat_map(|(row, s)| row.iter().map(move |w| w * s)).collect();
         let packed = pack::forward(isa, &shape, &folded);
         let mut y = buffer(shape.output_len());
-        conv::forward_activated(isa, &shape, x, &packed, Epilogue { bias: &affine.shift, slope: settings.slope, residual }, &mut y);
+        conv::forward_activated(&shape, x, &packed, Epilogue { bias: &affine.shift, slope: settings.slope, residual }, &mut y);
         y
     }
 }
@@ -280,7 +280,7 @@ impl FusedConvolutions for Flex {
         let shape = shape_of(&x, &weight, 1);
         let mut y = buffer(shape.output_len());
         let packed = pack::forward(isa, &shape, values(&weight));
-        conv::forward_activated(isa, &shape, values(&x), &packed, Epilogue { bias: values(&bias), slope: 1.0, residual: None }, &mut y);
+        conv::forward_activated(&shape, values(&x), &packed, Epilogue { bias: values(&bias), slope: 1.0, residual: None }, &mut y);
         tensor(y, out_shape(&shape))
     }
 }

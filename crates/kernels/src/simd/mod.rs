@@ -27,6 +27,7 @@ pub(crate) trait Simd: Copy {
     /// `a * b + c`, rounded once (portable: twice).
     unsafe fn fma(a: Self::V, b: Self::V, c: Self::V) -> Self::V;
     unsafe fn add(a: Self::V, b: Self::V) -> Self::V;
+    unsafe fn sub(a: Self::V, b: Self::V) -> Self::V;
     unsafe fn mul(a: Self::V, b: Self::V) -> Self::V;
     unsafe fn max(a: Self::V, b: Self::V) -> Self::V;
     /// 1 where the pre-activation is not negative, else the slope.
@@ -76,10 +77,10 @@ impl Isa {
         }
     }
 
-    /// The widest set of this machine, not above `self`, whose vectors divide `channels`; channels must be a multiple of 8.
+    /// The widest set, not above `self`, whose vectors `channels` fill: sixteen lanes on eight channels would compute eight for nothing.
     #[must_use]
-    pub(crate) fn dividing(self, channels: usize) -> Self {
-        if self == Self::Avx512 && !channels.is_multiple_of(16) { Self::Avx2 } else { self }
+    pub(crate) fn filled_by(self, channels: usize) -> Self {
+        if self == Self::Avx512 && channels.next_multiple_of(8) % 16 != 0 { Self::Avx2 } else { self }
     }
 }
 
@@ -117,12 +118,13 @@ macro_rules! dispatch {
 }
 pub(crate) use dispatch;
 
-/// The multiply-add peak of all threads in FLOP/s, measured now: twelve independent chains in registers, best of ten runs.
+/// The multiply-add peak of all threads in FLOP/s, measured now: twelve independent chains in registers, best of many short runs, so that a busy machine shows
+/// its peak, too.
 #[must_use]
 pub fn measured_peak(isa: Isa) -> f64 {
-    const STEPS: usize = 1_000_000;
+    const STEPS: usize = 50_000;
     let mut best = f64::INFINITY;
-    for _ in 0..10 {
+    for _ in 0..200 {
         let start = std::time::Instant::now();
         rayon::broadcast(|_| std::hint::black_box(chains(isa, STEPS)));
         best = best.min(start.elapsed().as_secs_f64());

@@ -43,6 +43,10 @@ impl Simd for Portable {
         lanes!(k => a[k] + b[k])
     }
     #[inline(always)]
+    unsafe fn sub(a: Self::V, b: Self::V) -> Self::V {
+        lanes!(k => a[k] - b[k])
+    }
+    #[inline(always)]
     unsafe fn mul(a: Self::V, b: Self::V) -> Self::V {
         lanes!(k => a[k] * b[k])
     }

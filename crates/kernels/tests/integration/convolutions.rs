@@ -54,7 +54,7 @@ fn check(shape: ConvShape, seed: u32) {
     for isa in Isa::available() {
         let packed = pack::forward(isa, &shape, &w);
         let mut out = vec![f32::NAN; shape.output_len()];
-        conv::forward(isa, &shape, &x, &packed, &mut out);
+        conv::forward(&shape, &x, &packed, &mut out);
         close(&out, &want[0], &format!("{isa:?} forward of {shape:?}"));
 
         let mut dx = vec![f32::NAN; shape.input_len()];
@@ -65,7 +65,7 @@ fn check(shape: ConvShape, seed: u32) {
 
         close(&weight_gradient(isa, &shape, &x, None, &dz), &want[2], &format!("{isa:?} weight gradient of {shape:?}"));
 
-        let sums = conv::forward_with_statistics(isa, &shape, &x, Some(activation), &packed, &mut out);
+        let sums = conv::forward_with_statistics(&shape, &x, Some(activation), &packed, &mut out);
         let fused = reference::forward(&shape, &activated, &w);
         close(&out, &fused, "activated on the way in");
         for (c, sum) in sums.iter().enumerate() {

@@ -179,6 +179,45 @@ unsafe impl GlobalAlloc for Pool {
     }
 }
 
+/// The system's allocator, counting: for tests that something takes no memory.
+pub struct Counted {
+    taken: AtomicUsize,
+}
+
+impl Default for Counted {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Counted {
+    /// Nothing counted yet.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self { taken: AtomicUsize::new(0) }
+    }
+
+    /// Blocks taken so far, by all threads.
+    #[must_use]
+    pub fn taken(&self) -> usize {
+        self.taken.load(Ordering::Relaxed)
+    }
+}
+
+// SAFETY: every call goes on to the system's allocator.
+unsafe impl GlobalAlloc for Counted {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        self.taken.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: the caller's contract.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
+        // SAFETY: the caller's contract.
+        unsafe { System.dealloc(block, layout) }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

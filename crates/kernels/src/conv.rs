@@ -7,9 +7,16 @@ use crate::{
     simd::Isa,
 };
 
-fn gather<'a>(shape: &ConvShape, x: &'a [f32], weights: &'a Panels, activation: Option<Activation<'a>>, finish: Finish<'a>) -> Gather<'a> {
+fn run(
+    shape: &ConvShape,
+    x: &[f32],
+    weights: &Panels,
+    activation: Option<Activation>,
+    finish: Finish,
+    out: &mut [f32],
+) -> Option<Vec<[f64; 2]>> {
     shape.check();
-    Gather {
+    let gather = Gather {
         batch: shape.batch,
         source: x,
         source_size: [shape.height, shape.width, shape.in_channels],
@@ -18,16 +25,17 @@ fn gather<'a>(shape: &ConvShape, x: &'a [f32], weights: &'a Panels, activation: 
         step: shape.stride,
         padding: shape.padding(),
         window: shape.kernel,
-        groups: vec![Group { weights, rows: shape.kernel, columns: shape.kernel, first_row: 0, first_column: 0 }],
+        groups: &[Group { weights, rows: shape.kernel, columns: shape.kernel, first_row: 0, first_column: 0 }],
         out_size: [shape.out_height(), shape.out_width(), shape.out_channels],
         out_step: 1,
         finish,
-    }
+    };
+    gather.run(out)
 }
 
 /// The plain convolution of `x` with packed weights ([`pack::forward`]) into `out`.
 pub fn forward(shape: &ConvShape, x: &[f32], weights: &Panels, out: &mut [f32]) {
-    gather(shape, x, weights, None, Finish::Store).run(out);
+    run(shape, x, weights, None, Finish::Store, out);
 }
 
 /// As [`forward`], with an activation applied to `x` on the way in, and with each output channel's sum and sum of squares on the way out.
@@ -38,7 +46,7 @@ pub fn forward_with_statistics(
     weights: &Panels,
     out: &mut [f32],
 ) -> Vec<[f64; 2]> {
-    gather(shape, x, weights, activation, Finish::Statistics).run(out).unwrap_or_default()
+    run(shape, x, weights, activation, Finish::Statistics, out).unwrap_or_default()
 }
 
 /// What inference does to a convolution's result before it is written.
@@ -55,7 +63,7 @@ pub struct Epilogue<'a> {
 /// `leaky(convolution + bias) + residual` in one pass.
 pub fn forward_activated(shape: &ConvShape, x: &[f32], weights: &Panels, epilogue: Epilogue, out: &mut [f32]) {
     let Epilogue { bias, slope, residual } = epilogue;
-    gather(shape, x, weights, None, Finish::Activate { bias, slope, residual }).run(out);
+    run(shape, x, weights, None, Finish::Activate { bias, slope, residual }, out);
 }
 
 /// The gradient of the convolution's input from that of its output, `weight` as `[out, in, kernel, kernel]`; written to `dx`, or added
@@ -71,6 +79,14 @@ pub fn input_gradient(isa: Isa, shape: &ConvShape, dz: &[f32], weight: &[f32], a
     };
     let pairs: Vec<_> = taps.iter().flat_map(|r| taps.iter().map(move |c| (r, c))).collect();
     let packed: Vec<Panels> = pairs.iter().map(|(r, c)| pack::transposed(isa, shape, weight, &r.1, &c.1)).collect();
+    let group = |((r, c), weights): (&(&(usize, Vec<usize>), &(usize, Vec<usize>)), _)| Group {
+        weights,
+        rows: r.1.len(),
+        columns: c.1.len(),
+        first_row: r.0,
+        first_column: c.0,
+    };
+    let groups: Vec<Group> = pairs.iter().zip(&packed).map(group).collect();
     let strided = shape.stride == 2;
     Gather {
         batch: shape.batch,
@@ -81,11 +97,7 @@ pub fn input_gradient(isa: Isa, shape: &ConvShape, dz: &[f32], weight: &[f32], a
         step: 1,
         padding: if strided { 0 } else { shape.padding() },
         window: if strided { 2 } else { shape.kernel },
-        groups: pairs
-            .iter()
-            .zip(&packed)
-            .map(|((r, c), weights)| Group { weights, rows: r.1.len(), columns: c.1.len(), first_row: r.0, first_column: c.0 })
-            .collect(),
+        groups: &groups,
         out_size: [shape.height, shape.width, shape.in_channels],
         out_step: shape.stride,
         finish: if accumulate { Finish::Accumulate } else { Finish::Store },

@@ -64,7 +64,7 @@ pub(crate) struct Gather<'a> {
     pub padding: usize,
     /// Rows and columns of the largest window.
     pub window: usize,
-    pub groups: Vec<Group<'a>>,
+    pub groups: &'a [Group<'a>],
     /// Rows, columns, channels of an output image.
     pub out_size: [usize; 3],
     pub out_step: usize,
@@ -76,6 +76,11 @@ pub(crate) struct Gather<'a> {
 pub(crate) const MIN_TASKS: usize = 8;
 /// Floats of a band's scratch: half of a 512 KiB second-level cache, the rest is for weights and output.
 const BAND_FLOATS: usize = 40 * 1024;
+
+/// Pixels that a band has at least, for so many weights: what does not fit a second-level cache should not be read for a few pixels.
+pub(crate) fn least_pixels(weights: usize) -> usize {
+    if weights > 256 * 1024 { 96 } else { 24 }
+}
 
 /// A pointer that tasks share; each writes its own pixels and channels.
 #[derive(Clone, Copy)]
@@ -114,29 +119,82 @@ pub(crate) fn with_scratch<R>(len: usize, f: impl FnOnce(&mut [f32]) -> R) -> R 
     })
 }
 
-/// Runs `tasks` on all threads. With [`Finish::Statistics`] each gets `2 * padded` zeros for the sums and the sums of squares of its
-/// channels; they are added in f64, in the tasks' order.
+/// Runs `tasks` on all threads. With [`Finish::Statistics`] each gets `3 * padded` floats for its channels' pivots, sums and sums of squares
+/// (see [`Sums`]); `run` returns its pixels. They are added in f64, in the tasks' order.
 pub(crate) fn run_tasks(
     tasks: usize,
     finish: Finish,
     channels: usize,
     padded: usize,
-    run: impl Fn(usize, &mut [f32]) + Sync,
+    run: impl Fn(usize, &mut [f32]) -> usize + Sync,
 ) -> Option<Vec<[f64; 2]>> {
     if !matches!(finish, Finish::Statistics) {
-        (0..tasks).into_par_iter().with_max_len(1).for_each(|task| run(task, &mut []));
+        (0..tasks).into_par_iter().with_max_len(1).for_each(|task| {
+            run(task, &mut []);
+        });
         return None;
     }
-    let mut sums = vec![0f32; tasks * 2 * padded];
-    sums.par_chunks_mut(2 * padded).enumerate().with_max_len(1).for_each(|(task, sums)| run(task, sums));
+    let mut sums = vec![0f32; tasks * 3 * padded];
+    let pixels: Vec<usize> = sums.par_chunks_mut(3 * padded).enumerate().with_max_len(1).map(|(task, sums)| run(task, sums)).collect();
     let mut total = vec![[0f64; 2]; channels];
-    for task in sums.chunks_exact(2 * padded) {
+    for (task, pixels) in sums.chunks_exact(3 * padded).zip(pixels) {
         for (c, t) in total.iter_mut().enumerate() {
-            t[0] += f64::from(task[c]);
-            t[1] += f64::from(task[padded + c]);
+            let [pivot, sum, square] = [0, 1, 2].map(|k| f64::from(task[k * padded + c]));
+            // A task that shares its band with others has written some panels only; the others' three numbers are zeros and add nothing.
+            let pixels = pixels as f64;
+            t[0] += sum + pixels * pivot;
+            t[1] += square + 2.0 * pivot * sum + pixels * pivot * pivot;
         }
     }
     Some(total)
+}
+
+/// Sums of a vector of channels over pixels, taken of the distance from a pivot: the first pixel's value. Where a channel varies little
+/// around a large mean, plain sums of squares would lose its variance to rounding.
+pub(crate) struct Sums<S: Simd> {
+    pivot: S::V,
+    sum: S::V,
+    square: S::V,
+}
+
+impl<S: Simd> Sums<S> {
+    /// None yet, around `pivot`.
+    #[inline(always)]
+    pub unsafe fn around(pivot: S::V) -> Self {
+        // SAFETY: registers only.
+        unsafe { Self { pivot, sum: S::splat(0.0), square: S::splat(0.0) } }
+    }
+
+    /// Those that [`Self::store`] left.
+    #[inline(always)]
+    unsafe fn load(from: &[f32], channel: usize) -> Self {
+        // SAFETY: the caller vouches for a vector of channels from `channel` on.
+        unsafe {
+            let at = |k: usize| from.as_ptr().add(k * (from.len() / 3) + channel);
+            Self { pivot: S::load(at(0)), sum: S::load(at(1)), square: S::load(at(2)) }
+        }
+    }
+
+    #[inline(always)]
+    pub unsafe fn add(&mut self, value: S::V) {
+        // SAFETY: registers only.
+        unsafe {
+            let distance = S::sub(value, self.pivot);
+            self.sum = S::add(self.sum, distance);
+            self.square = S::fma(distance, distance, self.square);
+        }
+    }
+
+    #[inline(always)]
+    pub unsafe fn store(&self, to: &mut [f32], channel: usize) {
+        // SAFETY: as in `load`.
+        unsafe {
+            let third = to.len() / 3;
+            S::store(to.as_mut_ptr().add(channel), self.pivot);
+            S::store(to.as_mut_ptr().add(third + channel), self.sum);
+            S::store(to.as_mut_ptr().add(2 * third + channel), self.square);
+        }
+    }
 }
 
 impl Gather<'_> {
@@ -152,13 +210,14 @@ impl Gather<'_> {
     /// Grid rows of a band, and parts that the output's panels are cut into.
     fn partition(&self) -> (usize, usize) {
         let row = self.band_columns() * self.source_size[2] * self.step;
-        let rows = (BAND_FLOATS / row).clamp(1, self.grid[0]);
-        // A band of few pixels would read the weights too often.
-        let rows = rows.max(24usize.div_ceil(self.grid[1])).min(self.grid[0]);
-        let mut rows = rows;
-        while rows > 1 && self.batch * self.grid[0].div_ceil(rows) < MIN_TASKS && rows * self.grid[1] >= 96 {
+        // A band of few pixels would read the weights too often, the more so where they fill the cache.
+        let weights: usize = self.groups.iter().map(|g| g.weights.data.len()).sum();
+        let least = least_pixels(weights).div_ceil(self.grid[1]);
+        let mut rows = (BAND_FLOATS / row).max(least).clamp(1, self.grid[0]);
+        while rows > 1 && self.batch * self.grid[0].div_ceil(rows) < MIN_TASKS && rows * self.grid[1] >= 96 && rows >= 2 * least {
             rows = rows.div_ceil(2);
         }
+        rows = self.grid[0].div_ceil(self.grid[0].div_ceil(rows)); // bands of equal height
         let bands = self.batch * self.grid[0].div_ceil(rows);
         let panels = self.groups[0].weights.count();
         let mut parts = 1;
@@ -180,7 +239,7 @@ impl Gather<'_> {
         if self.groups[0].weights.form == Form::Winograd {
             return winograd::run(self, out);
         }
-        for group in &self.groups {
+        for group in self.groups {
             assert!(group.weights.k == group.rows * group.columns * self.source_size[2] && group.weights.channels == channels);
             assert!(group.rows <= self.window && group.columns <= self.window);
             assert!(group.weights.form == Form::Direct && group.weights.width == 2 * group.weights.isa.lanes());
@@ -193,7 +252,9 @@ impl Gather<'_> {
         self.list_pixels(rows, &mut pixels);
         let total = run_tasks(self.batch * bands * parts, self.finish, channels, padded, |task, sums| {
             let (image, band, part) = (task / (bands * parts), task / parts % bands, task % parts);
-            self.task(image, band * rows..((band + 1) * rows).min(self.grid[0]), part, parts, &pixels, to, sums);
+            let grid_rows = band * rows..((band + 1) * rows).min(self.grid[0]);
+            self.task(image, grid_rows.clone(), part, parts, &pixels, to, sums);
+            grid_rows.len() * self.grid[1]
         });
         PIXELS.set(pixels);
         total
@@ -205,7 +266,7 @@ impl Gather<'_> {
         let [_, out_columns, channels] = self.out_size;
         let pitch = self.band_columns() * self.source_size[2];
         pixels.clear();
-        for group in &self.groups {
+        for group in self.groups {
             for g in 0..rows {
                 for h in 0..self.columns_of(group) {
                     let from = g * self.step * pitch + h * self.step * self.source_size[2];
@@ -275,7 +336,7 @@ impl Gather<'_> {
         let full_rows = pixels.len() / self.groups.iter().map(|g| self.columns_of(g)).sum::<usize>();
         let mut runs = [0usize; 3];
         let mut pixels = pixels;
-        for group in &self.groups {
+        for group in self.groups {
             let (listed, others) = pixels.split_at(full_rows * self.columns_of(group));
             pixels = others;
             // The grid's last row may have no pixel of this group.
@@ -375,30 +436,44 @@ unsafe fn panel_body<S: Simd, const V: usize>(work: &Work, panel: usize, sums: &
     // SAFETY: see `work_body`.
     unsafe {
         let weights = work.weights.data.as_ptr().add(panel * work.weights.k * work.weights.width);
+        // The kernel rows of a picture's three channels are so short that their loop must not be one.
+        match work.run_len {
+            9 => all_tiles::<S, V, 9>(work, weights, panel, sums),
+            _ => all_tiles::<S, V, 0>(work, weights, panel, sums),
+        }
+    }
+}
+
+/// `RUN`: the length of a run where it is known beforehand, else 0.
+#[inline(always)]
+unsafe fn all_tiles<S: Simd, const V: usize, const RUN: usize>(work: &Work, weights: *const f32, panel: usize, sums: &mut [f32]) {
+    // SAFETY: see `work_body`.
+    unsafe {
         let mut pixels = work.pixels;
         if V == 1 {
             // One vector alone needs more pixels to hide the latency of the multiply-adds.
-            tiles::<S, 8, V>(work, &mut pixels, weights, panel, sums);
+            tiles::<S, 8, V, RUN>(work, &mut pixels, weights, panel, sums);
         }
         match S::TILE {
-            12 => tiles::<S, 12, V>(work, &mut pixels, weights, panel, sums),
-            6 => tiles::<S, 6, V>(work, &mut pixels, weights, panel, sums),
+            12 => tiles::<S, 12, V, RUN>(work, &mut pixels, weights, panel, sums),
+            6 => tiles::<S, 6, V, RUN>(work, &mut pixels, weights, panel, sums),
             _ => {}
         }
-        tiles::<S, 4, V>(work, &mut pixels, weights, panel, sums);
-        tiles::<S, 2, V>(work, &mut pixels, weights, panel, sums);
-        tiles::<S, 1, V>(work, &mut pixels, weights, panel, sums);
+        tiles::<S, 4, V, RUN>(work, &mut pixels, weights, panel, sums);
+        tiles::<S, 2, V, RUN>(work, &mut pixels, weights, panel, sums);
+        tiles::<S, 1, V, RUN>(work, &mut pixels, weights, panel, sums);
     }
 }
 
 #[inline(always)]
-unsafe fn tiles<S: Simd, const P: usize, const V: usize>(
+unsafe fn tiles<S: Simd, const P: usize, const V: usize, const RUN: usize>(
     work: &Work,
     pixels: &mut &[(u32, u32)],
     weights: *const f32,
     panel: usize,
     sums: &mut [f32],
 ) {
+    let run_len = if RUN > 0 { RUN } else { work.run_len };
     while let Some((tile, rest)) = pixels.split_first_chunk::<P>() {
         *pixels = rest;
         // SAFETY: see `work_body`.
@@ -410,7 +485,7 @@ unsafe fn tiles<S: Simd, const P: usize, const V: usize>(
                 for (f, t) in from.iter_mut().zip(tile) {
                     *f = f.add(t.0 as usize + run);
                 }
-                for j in 0..work.run_len {
+                for j in 0..run_len {
                     let mut wv = [S::splat(0.0); V];
                     for (v, x) in wv.iter_mut().enumerate() {
                         *x = S::load(w.add(v * S::LANES));
@@ -421,7 +496,7 @@ unsafe fn tiles<S: Simd, const P: usize, const V: usize>(
                             acc[p][v] = S::fma(b, wv[v], acc[p][v]);
                         }
                     }
-                    w = w.add(work.weights.width);
+                    w = w.add(2 * S::LANES);
                 }
             }
             // A copy of its own: `finish_tile` indexes it at run time, which would keep the accumulators of the loop above in memory.
@@ -450,15 +525,12 @@ unsafe fn finish_tile<S: Simd, const P: usize, const V: usize>(
             let channel = first + v * S::LANES;
             let lanes = work.weights.channels.saturating_sub(channel).min(S::LANES);
             if let Finish::Statistics = work.finish {
-                let half = sums.len() / 2;
-                let (sum, square) = (sums.as_mut_ptr().add(channel), sums.as_mut_ptr().add(half + channel));
-                let (mut s, mut q) = (S::load(sum), S::load(square));
+                let first = tile.as_ptr() == work.pixels.as_ptr();
+                let mut s = if first { Sums::<S>::around(acc[0][v]) } else { Sums::<S>::load(sums, channel) };
                 for a in acc.iter() {
-                    s = S::add(s, a[v]);
-                    q = S::fma(a[v], a[v], q);
+                    s.add(a[v]);
                 }
-                S::store(sum, s);
-                S::store(square, q);
+                s.store(sums, channel);
             }
             for p in 0..P {
                 finish_vector::<S>(work.finish, acc[p][v], work.out, work.residual_offset, tile[p].1 as usize, channel, lanes);

@@ -7,6 +7,7 @@ mod buffer;
 pub mod conv;
 mod gather;
 pub mod norm;
+#[cfg(feature = "burn")]
 pub mod ops;
 pub mod pack;
 pub mod reference;

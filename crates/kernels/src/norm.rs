@@ -119,7 +119,7 @@ pub fn backward(isa: Isa, gradient: &[f32], affine: &Affine, slope: f32, frozen:
     let channels = affine.scale.len();
     assert!(gradient.len() == z.len() && z.len().is_multiple_of(channels));
     let chunk = pixels_per_task(channels) * channels;
-    // Sums of g' and g' * z a channel, in f32 over a task and f64 over tasks, in their order.
+    // Sums of g' and g' * (z - mean) a channel, in f32 over a task and f64 over tasks, in their order.
     let parts: Vec<Vec<f32>> = gradient
         .par_chunks(chunk)
         .zip(z.par_chunks(chunk))
@@ -138,19 +138,18 @@ pub fn backward(isa: Isa, gradient: &[f32], affine: &Affine, slope: f32, frozen:
     }
     let n = (z.len() / channels) as f64;
     let mut gradients = NormGradients { gamma: vec![0.0; channels], beta: vec![0.0; channels] };
-    // dz = scale * (g' - mean(g') - zhat * mean(g' zhat)) = a * g' + b * z + c, with zhat = (z - mean) * inverse_deviation.
+    // dz = scale * (g' - mean(g') - zhat * mean(g' zhat)) = a * g' + b * (z - mean) + c, with zhat = (z - mean) * inverse_deviation. The
+    // mean is taken off first, here and in the sums: where it is large beside the deviation, the difference of products would be rounding.
     let mut lines = [vec![0f32; channels], vec![0f32; channels]];
     for c in 0..channels {
-        let (mean, inverse) = (f64::from(affine.mean[c]), f64::from(affine.inverse_deviation[c]));
-        let beta = totals[c][0];
-        let gamma = (totals[c][1] - mean * totals[c][0]) * inverse;
+        let inverse = f64::from(affine.inverse_deviation[c]);
+        let (beta, gamma) = (totals[c][0], totals[c][1] * inverse);
         gradients.beta[c] = beta as f32;
         gradients.gamma[c] = gamma as f32;
         if !frozen {
             let scale = f64::from(affine.scale[c]);
-            let slope_of_z = -scale * gamma / n * inverse;
-            lines[0][c] = slope_of_z as f32;
-            lines[1][c] = (-scale * beta / n - slope_of_z * mean) as f32;
+            lines[0][c] = (-scale * gamma / n * inverse) as f32;
+            lines[1][c] = (-scale * beta / n) as f32;
         }
     }
     let to = SharedMut(z.as_mut_ptr());
@@ -180,8 +179,8 @@ unsafe fn sums_body<S: Simd>(g: &[f32], z: &[f32], affine: &Affine, slope: f32, 
         let mut c = 0;
         while c < channels {
             let lanes = S::LANES.min(channels - c);
-            let (scale, shift) =
-                (load_lanes::<S>(affine.scale.as_ptr().add(c), lanes), load_lanes::<S>(affine.shift.as_ptr().add(c), lanes));
+            let load = |v: &[f32]| load_lanes::<S>(v.as_ptr().add(c), lanes);
+            let (scale, shift, mean) = (load(&affine.scale), load(&affine.shift), load(&affine.mean));
             // Two of each, so that additions do not wait for each other.
             let (mut s, mut q) = ([S::splat(0.0); 2], [S::splat(0.0); 2]);
             let mut at = c;
@@ -190,7 +189,7 @@ unsafe fn sums_body<S: Simd>(g: &[f32], z: &[f32], affine: &Affine, slope: f32, 
                 let zv = load_lanes::<S>(z.as_ptr().add(at), lanes);
                 let gv = S::mul(load_lanes::<S>(g.as_ptr().add(at), lanes), S::leaky_factor(S::fma(zv, scale, shift), slope));
                 s[k] = S::add(s[k], gv);
-                q[k] = S::fma(gv, zv, q[k]);
+                q[k] = S::fma(gv, S::sub(zv, mean), q[k]);
                 k ^= 1;
                 at += channels;
             }
@@ -216,12 +215,13 @@ unsafe fn apply_body<S: Simd>(g: &[f32], affine: &Affine, slope: f32, lines: &[V
         while c < channels {
             let lanes = S::LANES.min(channels - c);
             let load = |v: &[f32]| load_lanes::<S>(v.as_ptr().add(c), lanes);
-            let (scale, shift, line, constant) = (load(&affine.scale), load(&affine.shift), load(&lines[0]), load(&lines[1]));
+            let (scale, shift, mean) = (load(&affine.scale), load(&affine.shift), load(&affine.mean));
+            let (line, constant) = (load(&lines[0]), load(&lines[1]));
             let mut at = c;
             while at < g.len() {
                 let zv = load_lanes::<S>(z.as_ptr().add(at), lanes);
                 let gv = S::mul(load_lanes::<S>(g.as_ptr().add(at), lanes), S::leaky_factor(S::fma(zv, scale, shift), slope));
-                store_lanes::<S>(z.as_mut_ptr().add(at), S::fma(gv, scale, S::fma(zv, line, constant)), lanes);
+                store_lanes::<S>(z.as_mut_ptr().add(at), S::fma(gv, scale, S::fma(S::sub(zv, mean), line, constant)), lanes);
                 at += channels;
             }
             c += S::LANES;

@@ -2,7 +2,7 @@
 //!
 //! A panel holds `width` output channels (two vectors): `[panel][k][width]`, where `k` runs over the inputs in the order in which the
 //! kernel meets them. The last panel is filled up with zeros.
-use crate::{ConvShape, simd::Isa, winograd};
+use crate::{ConvShape, buffer::buffer, simd::Isa, winograd};
 use rayon::prelude::*;
 
 /// Packed weights of one group of taps.
@@ -32,11 +32,14 @@ pub(crate) enum Form {
 }
 
 impl Panels {
-    /// Zeros for `channels` outputs of `k` inputs, filled a panel at a time: `fill(first channel, channels, panel)`.
+    /// For `channels` outputs of `k` inputs, filled a panel at a time: `fill(first channel, channels, panel)` writes these channels of
+    /// every row; the others are zeros.
     pub(crate) fn pack(isa: Isa, form: Form, channels: usize, k: usize, fill: impl Fn(usize, usize, &mut [f32]) + Sync) -> Self {
         let width = 2 * isa.lanes();
         let panel = width * k * if form == Form::Winograd { winograd::POINTS } else { 1 };
-        let mut data = vec![0f32; channels.div_ceil(width) * panel];
+        let len = channels.div_ceil(width) * panel;
+        // Only a panel that is not full keeps zeros.
+        let mut data = if channels.is_multiple_of(width) { buffer(len) } else { vec![0f32; len] };
         data.par_chunks_mut(panel).enumerate().for_each(|(p, panel)| fill(p * width, width.min(channels - p * width), panel));
         Self { data, k, width, channels, isa, form }
     }
@@ -47,15 +50,22 @@ impl Panels {
     }
 }
 
-/// The forward weights, from `[out, in, kernel, kernel]`: k runs over (row, column, input channel).
+/// The forward weights for one batch of this shape, from `[out, in, kernel, kernel]`: k runs over (row, column, input channel).
 #[must_use]
 pub fn forward(isa: Isa, shape: &ConvShape, weight: &[f32]) -> Panels {
+    if winograd::pays(shape) { pack_once(isa, shape, weight) } else { direct(isa, shape, weight) }
+}
+
+/// As [`forward`], for weights that are packed once and used for many pictures of any size: what it takes to pack them does not count.
+#[must_use]
+pub fn pack_once(isa: Isa, shape: &ConvShape, weight: &[f32]) -> Panels {
+    if winograd::applies(shape) { winograd::pack_forward(isa, shape, weight) } else { direct(isa, shape, weight) }
+}
+
+fn direct(isa: Isa, shape: &ConvShape, weight: &[f32]) -> Panels {
     let (cin, taps) = (shape.in_channels, shape.kernel * shape.kernel);
     assert_eq!(weight.len(), shape.weight_len());
     let isa = isa.filled_by(shape.out_channels);
-    if winograd::pays(shape) {
-        return winograd::pack_forward(isa, shape, weight);
-    }
     let (k, width) = (taps * cin, 2 * isa.lanes());
     Panels::pack(isa, Form::Direct, shape.out_channels, k, |first, lanes, panel| {
         // Every stream goes on in order: a row a lane to read, a row a tap to write.
@@ -78,10 +88,10 @@ pub(crate) fn transposed(isa: Isa, shape: &ConvShape, weight: &[f32], rows: &[us
     let (cin, cout, all) = (shape.in_channels, shape.out_channels, shape.kernel * shape.kernel);
     assert_eq!(weight.len(), shape.weight_len());
     let taps: Vec<usize> = rows.iter().flat_map(|row| columns.iter().map(move |column| row * shape.kernel + column)).collect();
-    let isa = isa.filled_by(cin);
     if winograd::pays(shape) {
         return winograd::pack_transposed(isa, shape, weight);
     }
+    let isa = isa.filled_by(cin);
     let width = 2 * isa.lanes();
     Panels::pack(isa, Form::Direct, cin, taps.len() * cout, |first, lanes, panel| {
         for o in 0..cout {

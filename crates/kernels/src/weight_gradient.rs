@@ -4,7 +4,7 @@
 //! product. The output's gradient is packed a band at a time, so that the tile reads it in order.
 use crate::{
     ConvShape,
-    gather::{Activation, Band, SharedMut, copy_band, with_scratch},
+    gather::{Activation, Band, SharedMut, copy_band, least_pixels, with_scratch},
     simd::{Isa, Simd, dispatch},
     winograd,
 };
@@ -42,7 +42,9 @@ pub fn weight_gradient(isa: Isa, shape: &ConvShape, x: &[f32], activation: Optio
     let panels = shape.out_channels.div_ceil(width);
     let inputs = shape.kernel * shape.kernel * shape.in_channels;
     let row = (shape.out_width() * shape.stride + 2) * shape.stride * shape.in_channels + shape.out_width() * width;
-    let rows = (BAND_FLOATS / row).clamp(1, shape.out_height());
+    let least = least_pixels(inputs * shape.out_channels).div_ceil(shape.out_width());
+    let rows = (BAND_FLOATS / row).max(least).clamp(1, shape.out_height());
+    let rows = shape.out_height().div_ceil(shape.out_height().div_ceil(rows)); // bands of equal height
     let job = Job { isa, shape: *shape, x, activation, dz, rows, width };
     let bands = shape.out_height().div_ceil(rows);
     let units = shape.batch * bands;

@@ -6,6 +6,7 @@ use crate::{
     plan::{PlanStep, Step, plan},
     weights::{ConvWeights, Weights},
 };
+use rayon::prelude::*;
 use tcross_kernels::{
     ConvShape, Isa,
     conv::{self, Epilogue},
@@ -80,7 +81,8 @@ impl Arena {
 pub struct InferenceNet {
     convolutions: Vec<Folded>,
     steps: Vec<PlanStep>,
-    layers: usize,
+    /// Values that a later step reads, by layer.
+    kept: Vec<Option<Value>>,
     arena: Arena,
     heads: Vec<Vec<f32>>,
 }
@@ -102,9 +104,10 @@ impl InferenceNet {
     pub fn from_graph(graph: &Graph, weights: &Weights, epsilon: f64) -> Result<Self, YoloError> {
         weights.check(graph)?;
         let isa = Isa::detect();
-        let convolutions = graph.convolutions().zip(&weights.convolutions).map(|((_, conv), w)| fold(isa, conv, w, epsilon)).collect();
+        let layers: Vec<_> = graph.convolutions().zip(&weights.convolutions).collect();
+        let convolutions = layers.par_iter().map(|((_, conv), w)| fold(isa, conv, w, epsilon)).collect();
         let heads = graph.heads().map(|_| Vec::new()).collect();
-        Ok(Self { convolutions, steps: plan(graph, true), layers: graph.layers().len(), arena: Arena::default(), heads })
+        Ok(Self { convolutions, steps: plan(graph, true), kept: vec![None; graph.layers().len()], arena: Arena::default(), heads })
     }
 
     /// One image `[3, height, width]`, RGB in 0..1, to each head's raw logits `[anchors * fields, rows, columns]`, coarse first.
@@ -113,7 +116,8 @@ impl InferenceNet {
     /// If the image's length is not that of `net`.
     pub fn run(&mut self, image: &[f32], net: NetSize) -> &[Vec<f32>] {
         assert_eq!(image.len(), 3 * net.width * net.height, "an image of another size");
-        let mut kept: Vec<Option<Value>> = vec![None; self.layers];
+        let mut kept = std::mem::take(&mut self.kept);
+        kept.fill(None);
         let mut x = Value { buffer: self.arena.take(image.len()), height: net.height, width: net.width, channels: 3 };
         resample::interleave_into(image, 1, image.len() / 3, 3, &mut self.arena.buffers[x.buffer][..image.len()]);
         let steps = std::mem::take(&mut self.steps);
@@ -129,10 +133,7 @@ impl InferenceNet {
                     y
                 }
                 Step::Add(from) => self.add(x, read(from)),
-                Step::Concat(from) => {
-                    let parts: Vec<Value> = from.iter().map(read).collect();
-                    self.concat(&parts)
-                }
+                Step::Concat(from) => self.concat(from.iter().map(read)),
                 Step::Upsample => {
                     let y = Value { height: 2 * x.height, width: 2 * x.width, ..x };
                     self.arena.fill(y, |arena, out| resample::upsample_into(arena.values(x), x.size(), out))
@@ -169,6 +170,7 @@ impl InferenceNet {
         self.arena.free.clear();
         self.arena.free.extend(0..self.arena.buffers.len());
         self.steps = steps;
+        self.kept = kept;
         &self.heads
     }
 
@@ -187,12 +189,13 @@ impl InferenceNet {
         self.arena.fill(x, |arena, out| resample::add_into(arena.values(x), arena.values(other), out))
     }
 
-    fn concat(&mut self, parts: &[Value]) -> Value {
-        let channels = parts.iter().map(|p| p.channels).sum();
-        self.arena.fill(Value { channels, ..parts[0] }, |arena, out| {
+    fn concat(&mut self, parts: impl Iterator<Item = Value> + Clone) -> Value {
+        let all = parts.clone().map(|p| p.channels).sum();
+        let size = parts.clone().next().unwrap_or_default();
+        self.arena.fill(Value { channels: all, ..size }, |arena, out| {
             let mut first = 0;
             for part in parts {
-                resample::concat_into(arena.values(*part), part.channels, first, channels, out);
+                resample::concat_into(arena.values(part), part.channels, first, all, out);
                 first += part.channels;
             }
         })
@@ -212,11 +215,12 @@ fn fold(isa: Isa, conv: &Conv, weights: &ConvWeights, epsilon: f64) -> Folded {
         Some(norm) => {
             let scale: Vec<f32> =
                 norm.gamma.iter().zip(&norm.variance).map(|(g, v)| (f64::from(*g) / (f64::from(*v) + epsilon).sqrt()) as f32).collect();
-            let kernel = weights.kernel.chunks(inputs).zip(&scale).flat_map(|(row, s)| row.iter().map(move |w| w * s)).collect();
+            let mut kernel = weights.kernel.clone();
+            kernel.chunks_mut(inputs).zip(&scale).for_each(|(row, s)| row.iter_mut().for_each(|w| *w *= s));
             (kernel, weights.bias.iter().zip(&norm.mean).zip(&scale).map(|((b, m), s)| b - m * s).collect())
         }
     };
-    Folded { conv: conv.clone(), panels: pack::forward(isa, &shape_of(conv, 1, 1), &kernel), bias }
+    Folded { conv: conv.clone(), panels: pack::pack_once(isa, &shape_of(conv, 1, 1), &kernel), bias }
 }
 
 #[cfg(test)]

@@ -1,4 +1,5 @@
 //! Whole trainings of a tiny network on a toy dataset.
+mod fast_path;
 #[path = "../../src/toy.rs"]
 mod toy;
 

@@ -1,7 +1,7 @@
 //! The forward pass, and the gradient of the input, which is one with other weights.
 use super::{POINTS, SKEW, Tiles, Windows, transform};
 use crate::{
-    gather::{Finish, Gather, MIN_TASKS, SharedMut, finish_vector, run_tasks, with_scratch},
+    gather::{Finish, Gather, MIN_TASKS, SharedMut, Sums, finish_vector, run_tasks, with_scratch},
     pack::Panels,
     simd::{Simd, dispatch},
 };
@@ -55,6 +55,7 @@ pub(crate) fn run(gather: &Gather, out: &mut [f32]) -> Option<Vec<[f64; 2]>> {
             };
             run_work(&work, sums);
         });
+        windows.units.map(|unit| tiles.width * (height - 2 * (unit % tiles.rows())).min(2)).sum()
     })
 }
 
@@ -212,23 +213,20 @@ unsafe fn outputs<S: Simd, const V: usize>(work: &Work, panel: usize, sums: &mut
         for v in 0..V {
             let channel = panel * work.weights.width + v * S::LANES;
             let lanes = (channels - channel).min(S::LANES);
-            let (mut sum, mut square) = (S::splat(0.0), S::splat(0.0));
+            // The product of the first tile's first pixel.
+            let first = products::<S>(work, 0, v);
+            let mut total = Sums::<S>::around(transform::tile::<S>(first)[0][0]);
             for (k, unit) in work.units.clone().enumerate() {
                 let offset = unit / rows * height * width * channels;
                 let out = work.out.at(offset);
                 for column in 0..columns {
-                    let from = work.products.at((k * columns + column) * work.weights.width + v * S::LANES);
-                    let mut m = [[S::splat(0.0); 4]; 4];
-                    for (p, m) in m.as_flattened_mut().iter_mut().enumerate() {
-                        *m = S::load(from.add(p * work.product_pitch));
-                    }
+                    let m = products::<S>(work, k * columns + column, v);
                     for (dy, line) in transform::tile::<S>(m).into_iter().enumerate() {
                         for (dx, value) in line.into_iter().enumerate() {
                             let (y, x) = (2 * (unit % rows) + dy, 2 * column + dx);
                             if y < height && x < width {
                                 if let Finish::Statistics = work.finish {
-                                    sum = S::add(sum, value);
-                                    square = S::fma(value, value, square);
+                                    total.add(value);
                                 }
                                 finish_vector::<S>(work.finish, value, out, offset, (y * width + x) * channels, channel, lanes);
                             }
@@ -237,9 +235,22 @@ unsafe fn outputs<S: Simd, const V: usize>(work: &Work, panel: usize, sums: &mut
                 }
             }
             if let Finish::Statistics = work.finish {
-                S::store(sums.as_mut_ptr().add(channel), sum);
-                S::store(sums.as_mut_ptr().add(sums.len() / 2 + channel), square);
+                total.store(sums, channel);
             }
         }
+    }
+}
+
+/// The sixteen products of a tile.
+#[inline(always)]
+unsafe fn products<S: Simd>(work: &Work, tile: usize, v: usize) -> [[S::V; 4]; 4] {
+    // SAFETY: as in `outputs`.
+    unsafe {
+        let from = work.products.at(tile * work.weights.width + v * S::LANES);
+        let mut m = [[S::splat(0.0); 4]; 4];
+        for (p, m) in m.as_flattened_mut().iter_mut().enumerate() {
+            *m = S::load(from.add(p * work.product_pitch));
+        }
+        m
     }
 }

@@ -2,6 +2,7 @@
 use super::{POINTS, SKEW, Tiles, Windows, transform};
 use crate::{
     ConvShape,
+    buffer::buffer,
     gather::{Activation, SharedMut, with_scratch},
     simd::{Isa, Simd, dispatch},
 };
@@ -14,7 +15,7 @@ const WINDOW_FLOATS: usize = 64 * 1024;
 const LEAST_TILES: usize = 48;
 /// Above this many sums threads share the output channels; below, every chunk of tiles gets sums of its own.
 const SMALL: usize = 256 * 1024;
-/// Chunks of tiles, and groups of output channels: fixed, so that the order of a sum does not depend on the number of threads.
+/// Chunks of tiles of a small gradient: fixed, so that the order of a sum does not depend on the number of threads.
 const CHUNKS: usize = 8;
 
 /// As [`crate::weight_gradient::weight_gradient`].
@@ -29,10 +30,12 @@ pub(crate) fn weight_gradient(isa: Isa, shape: &ConvShape, x: &[f32], activation
     let units = tiles.units();
     // Sums in `[panel][point][input][width]`.
     let len = panels * POINTS * shape.in_channels * width;
-    let mut sums = vec![0f32; len];
+    // A panel whose upper vector stays empty keeps zeros there; all else is written.
+    let fresh = |len| if (1..=width / 2).contains(&(shape.out_channels % width)) { vec![0f32; len] } else { buffer(len) };
+    let mut sums = fresh(len);
     if len <= SMALL {
         let chunks = CHUNKS.min(units.div_ceil(2));
-        let mut parts = vec![0f32; (chunks - 1) * len];
+        let mut parts = fresh((chunks - 1) * len);
         let all = std::iter::once(&mut sums[..]).chain(parts.chunks_mut(len)).collect::<Vec<_>>();
         all.into_par_iter().enumerate().with_max_len(1).for_each(|(c, part)| {
             job.add(c * units / chunks..(c + 1) * units / chunks, 0..panels, SharedMut(part.as_mut_ptr()));
@@ -43,7 +46,8 @@ pub(crate) fn weight_gradient(isa: Isa, shape: &ConvShape, x: &[f32], activation
             }
         });
     } else {
-        let groups = panels.min(CHUNKS);
+        // Every group transforms the windows anew; how many there are changes no sum.
+        let groups = panels.min(2 * rayon::current_num_threads());
         let to = SharedMut(sums.as_mut_ptr());
         (0..groups).into_par_iter().with_max_len(1).for_each(|g| {
             job.add(0..units, g * panels / groups..(g + 1) * panels / groups, SharedMut(to.at(0)));
@@ -55,7 +59,7 @@ pub(crate) fn weight_gradient(isa: Isa, shape: &ConvShape, x: &[f32], activation
 /// From `[panel][point][input][width]` to `[out, in, 3, 3]`.
 fn unpack(isa: Isa, shape: &ConvShape, sums: &[f32]) -> Vec<f32> {
     let (cin, width) = (shape.in_channels, 2 * isa.lanes());
-    let mut weight = crate::buffer::buffer(shape.weight_len());
+    let mut weight = buffer(shape.weight_len());
     weight.par_chunks_mut(width * 9 * cin).zip(sums.par_chunks(POINTS * cin * width)).for_each(|(rows, panel)| {
         let mut taps = [0f32; 9 * 32];
         for c in 0..cin {
@@ -90,19 +94,20 @@ struct Job<'a> {
 }
 
 impl Job<'_> {
-    /// Adds rows of tiles to the sums of some panels.
+    /// Sums rows of tiles for some panels.
     fn add(&self, units: Range<usize>, panels: Range<usize>, sums: SharedMut) {
         let mut first = units.start;
         while first < units.end {
             // Blocks of equal size.
             let blocks = (units.end - first).div_ceil(self.rows);
             let next = first + (units.end - first).div_ceil(blocks);
-            self.block(first..next, panels.clone(), sums);
+            self.block(first..next, panels.clone(), first > units.start, sums);
             first = next;
         }
     }
 
-    fn block(&self, units: Range<usize>, panels: Range<usize>, sums: SharedMut) {
+    /// Sums a block, on top of what is there where `add` says so.
+    fn block(&self, units: Range<usize>, panels: Range<usize>, add: bool, sums: SharedMut) {
         let width = 2 * self.isa.lanes();
         let windows = Windows {
             isa: self.isa,
@@ -130,6 +135,7 @@ impl Job<'_> {
                     gradient_pitch: pitch,
                     width,
                     one_vector: lanes <= width / 2,
+                    add,
                     sums: SharedMut(sums.at(panel * POINTS * self.inputs * width)),
                 };
                 run_outer(self.isa, &outer);
@@ -185,6 +191,8 @@ struct Outer<'a> {
     width: usize,
     /// The panel's upper vector is all zeros.
     one_vector: bool,
+    /// On top of what is there.
+    add: bool,
     /// `[point][input][width]`.
     sums: SharedMut,
 }
@@ -259,7 +267,7 @@ unsafe fn product<S: Simd, const M: usize, const V: usize>(outer: &Outer, point:
         for (m, row) in acc.iter().enumerate() {
             for (v, a) in row.iter().enumerate() {
                 let to = sums.add(m * outer.width + v * S::LANES);
-                S::store(to, S::add(S::load(to), *a));
+                S::store(to, if outer.add { S::add(S::load(to), *a) } else { *a });
             }
         }
     }

@@ -27,25 +27,36 @@ const SKEW: usize = 16;
 /// Fewer channels than this, in or out, are not worth the transforms.
 const LEAST_CHANNELS: usize = 16;
 
-/// Whether a convolution and its gradients are computed this way: a function of the layer alone, the same for every batch and picture.
-pub(crate) fn pays(shape: &ConvShape) -> bool {
+/// Tiles in a batch below which a training step would spend more on transforming the weights than it saves.
+const LEAST_TILES: usize = 128;
+
+/// Whether a convolution can be computed this way, with gain once its weights are transformed.
+pub(crate) fn applies(shape: &ConvShape) -> bool {
     (shape.kernel, shape.stride) == (3, 1) && shape.in_channels.min(shape.out_channels) >= LEAST_CHANNELS
+}
+
+/// Whether a training step computes a convolution and its gradients this way: a function of the shape alone.
+pub(crate) fn pays(shape: &ConvShape) -> bool {
+    applies(shape) && shape.batch * shape.height.div_ceil(2) * shape.width.div_ceil(2) >= LEAST_TILES
 }
 
 /// The forward weights, from `[out, in, 3, 3]`.
 pub(crate) fn pack_forward(isa: Isa, shape: &ConvShape, weight: &[f32]) -> Panels {
     let cin = shape.in_channels;
+    assert_eq!(weight.len(), shape.weight_len());
     pack(isa, shape.out_channels, cin, |o, i| &weight[(o * cin + i) * 9..][..9], false)
 }
 
 /// The weights of the gradient of the input: roles of the channels exchanged, taps in reverse order.
 pub(crate) fn pack_transposed(isa: Isa, shape: &ConvShape, weight: &[f32]) -> Panels {
     let cin = shape.in_channels;
+    assert_eq!(weight.len(), shape.weight_len());
     pack(isa, cin, shape.out_channels, |i, o| &weight[(o * cin + i) * 9..][..9], true)
 }
 
 /// `[panel][point][input][width]` from the nine taps that `kernel(output, input)` gives.
 fn pack<'a>(isa: Isa, outputs: usize, inputs: usize, kernel: impl Fn(usize, usize) -> &'a [f32] + Sync, reversed: bool) -> Panels {
+    let isa = isa.filled_by(outputs);
     Panels::pack(isa, Form::Winograd, outputs, inputs, |first, lanes, panel| {
         let width = 2 * isa.lanes();
         let mut taps = [0f32; 9 * 32];

@@ -2,11 +2,12 @@
 """Times one image through T-cross, ONNX Runtime, OpenCV's Darknet importer and PyTorch, taking turns image by image in one run.
 
     cargo build --release -p tcross-yolo -p tcross --examples
-    python3 scripts/bench-infer.py [--rounds 30] [--only yolov3-tiny]
+    python3 scripts/bench-infer.py [--rounds 30] [--threads 2] [--only yolov3-tiny,0.25]
 
 Needs `pip install torch onnx onnxruntime "opencv-python-headless<5"`; a peer that is not installed is left out, with a line saying so.
 Networks and input are identical (416 x 416, 80 classes); every engine folds batch norm itself. OpenCV's time includes its box decoding,
-which cannot be taken out. Each contender has a process of its own and waits while another runs.
+which cannot be taken out. Each contender has a process of its own and waits while another runs. Prints medians and the least time: on a
+machine that does other work the least says more. T-cross's load is that of its own file: read, batch norm folded, weights arranged.
 """
 import argparse, os, statistics, subprocess, sys, tempfile
 
@@ -61,7 +62,7 @@ class Contender:
         line = "x"
         while line and not line.startswith("ready"):
             line = self.process.stdout.readline()
-        self.alive = bool(line)
+        self.alive, self.words = bool(line), line.split()
         if not self.alive:
             print(f"  {name} is left out: {self.process.stderr.read().strip().splitlines()[-1:]}")
 
@@ -75,7 +76,7 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--rounds", type=int, default=30)
     parser.add_argument("--threads", type=int, default=os.cpu_count())
-    parser.add_argument("--only")
+    parser.add_argument("--only", help="architectures or widths, by commas")
     parser.add_argument("--peak", type=float, default=204.0, help="multiply-add peak of all threads, GFLOP/s")
     parser.add_argument("--worker", nargs=4)
     args = parser.parse_args()
@@ -84,7 +85,7 @@ def main():
         return worker(engine, name, float(width), args.threads, scratch)
     env = {**os.environ, "OMP_NUM_THREADS": str(args.threads), "RAYON_NUM_THREADS": str(args.threads)}
     for architecture, peer, width in CASES:
-        if args.only and architecture != args.only:
+        if args.only and not {architecture, str(width)} & set(args.only.split(",")):
             continue
         with tempfile.TemporaryDirectory() as scratch:
             # The Darknet files of the very network that T-cross runs.
@@ -100,11 +101,14 @@ def main():
                 for c in contenders:
                     c.times.append(c.step())
             mine = statistics.median(contenders[0].times)
-            print(f"{architecture} x {width}")
+            flops, load, read = map(float, contenders[0].words[1:4])
+            print(f"{architecture} x {width}, {args.threads} threads: floor {flops / args.peak / 1e6:.1f} ms; "
+                  f"T-cross loads in {1e3 * load:.0f} ms, of which reading the file takes {1e3 * read:.0f}")
             for c in contenders:
                 c.process.communicate("end\n")
                 t = statistics.median(c.times)
-                print(f"  {c.name:14} {1e3 * t:8.1f} ms  T-cross is x{t / mine:4.2f} as fast", flush=True)
+                print(f"  {c.name:14} {1e3 * t:8.1f} ms, at least {1e3 * min(c.times):7.1f}  T-cross is x{t / mine:4.2f} as fast, "
+                      f"by least times x{min(c.times) / min(contenders[0].times):4.2f}", flush=True)
 
 
 if __name__ == "__main__":

@@ -102,6 +102,7 @@ def main():
             c.end()
             t = statistics.median(c.times)
             print(f"  {c.name:20} {t:7.3f} s  {batch / t:6.2f} images/s  x{t / floor:4.2f} of the floor  T-cross is x{t / mine:4.2f} as fast"
+                  f" (least times {min(c.times):.3f} s, x{min(c.times) / min(contenders[0].times):4.2f})"
                   f"  peak {c.peak:5.0f} MiB, {c.peak - c.empty:5.0f} above its start", flush=True)
 
 

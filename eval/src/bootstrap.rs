@@ -17,14 +17,27 @@ pub struct Bootstrap {
 impl Bootstrap {
     /// Draws `draws` times as many images as there are, with replacement, and sums their rows of `width` numbers.
     /// `fill(i, row)` adds image `i` to a row. Draw `k` depends on the seed and `k` only.
-    pub fn new(images: usize, width: usize, draws: usize, seed: u64, mut fill: impl FnMut(usize, &mut [f32])) -> Self {
+    pub fn new(images: usize, width: usize, draws: usize, seed: u64, fill: impl Fn(usize, &mut [f32]) + Sync) -> Self {
+        Self::with_sums(images, width, draws, seed, |i, row, (): &mut ()| fill(i, row)).0
+    }
+
+    /// The same where `fill` also adds the image to sums of its own, one a block of neighbours; they come in order.
+    pub fn with_sums<S: Default + Send>(
+        images: usize,
+        width: usize,
+        draws: usize,
+        seed: u64,
+        fill: impl Fn(usize, &mut [f32], &mut S) + Sync,
+    ) -> (Self, Vec<S>) {
         let length = images.div_ceil(MAX_BLOCKS).max(1);
         let blocks = images.div_ceil(length);
         let mut rows = vec![0.0f32; blocks * width];
-        for i in 0..images {
-            let at = i / length * width;
-            fill(i, &mut rows[at..at + width]);
-        }
+        let block = |(b, row): (usize, &mut [f32])| {
+            let mut own = S::default();
+            (b * length..images.min((b + 1) * length)).for_each(|i| fill(i, row, &mut own));
+            own
+        };
+        let own = rows.par_chunks_mut(width.max(1)).enumerate().map(block).collect();
         let mut sums = vec![0.0f32; draws * width];
         sums.par_chunks_mut(width.max(1)).enumerate().for_each(|(k, sum)| {
             for (row, times) in rows.chunks_exact(width).zip(weights(blocks, seed, k)) {
@@ -34,7 +47,7 @@ impl Bootstrap {
                 }
             }
         });
-        Self { width, draws: sums }
+        (Self { width, draws: sums }, own)
     }
 
     /// The middle 95 % of a quantity computed from each draw's sums; draws where it is not finite are left out. `None`

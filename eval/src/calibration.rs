@@ -4,6 +4,7 @@ use crate::{
     matching::Verdict,
     protocol::paper::MatchedImage,
 };
+use rayon::prelude::*;
 use serde::Serialize;
 
 /// Detections of similar score. Duplicates are left out: the protocol counts them neither way.
@@ -29,15 +30,29 @@ pub struct Calibration {
     pub bins: Vec<Bin>,
 }
 
-/// Bins every detection of the file by its score.
-#[must_use]
-pub fn calibration(images: &[MatchedImage]) -> Calibration {
-    let mut sums = [(0u64, 0u64, 0.0f64); 10];
+/// Detections, right ones and sum of scores, a bin.
+type Sums = [(u64, u64, f64); 10];
+
+fn add_up(images: &[MatchedImage]) -> Sums {
+    let mut sums = Sums::default();
     for claim in images.iter().flat_map(|i| &i.claims).filter(|c| matches!(c.verdict, Verdict::Hit | Verdict::FalsePositive)) {
         let (n, right, score) = &mut sums[((claim.score * 10.0) as usize).min(9)];
         *n += 1;
         *right += u64::from(claim.verdict == Verdict::Hit);
         *score += claim.score;
+    }
+    sums
+}
+
+/// Bins every detection of the file by its score.
+#[must_use]
+pub fn calibration(images: &[MatchedImage]) -> Calibration {
+    // Chunks of fixed length, added in order: the same on any number of threads.
+    let chunks: Vec<Sums> = images.par_chunks(1024).map(add_up).collect();
+    let mut sums = Sums::default();
+    for (bin, part) in chunks.iter().flat_map(|chunk| chunk.iter().enumerate()) {
+        let sum = &mut sums[bin];
+        *sum = (sum.0 + part.0, sum.1 + part.1, sum.2 + part.2);
     }
     let all: u64 = sums.iter().map(|s| s.0).sum();
     let bin = |&(n, right, score): &(u64, u64, f64)| {

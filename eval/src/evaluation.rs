@@ -4,6 +4,7 @@ use crate::{
     error::EvalError,
     input::{self, DetectionSource, Located, ProblemCounts},
     matching::{MarkerIndex, Rule, Tally, Verdict, match_image, tally},
+    min_side::{MinSide, min_sides},
     protocol::{
         coco::{CocoCell, CocoScores},
         paper::{MatchedImage, Row, Scores},
@@ -12,6 +13,7 @@ use crate::{
     truth::Truth,
     validate::{coco_cells, score_native},
 };
+use rayon::prelude::*;
 use tcross_dataset::{ImageDetections, detections::StageTimes};
 
 /// Detections after scoring.
@@ -27,6 +29,8 @@ pub struct Evaluation {
     pub scores: Scores,
     /// COCO's numbers, where asked for.
     pub coco: Option<CocoScores>,
+    /// The paper's metrics for markers of at least the configured sizes, where asked for.
+    pub min_sides: Vec<MinSide>,
     /// Errors of poses, where asked for.
     pub pose: Option<PoseOutcomes>,
     /// Faults met in a lenient reading.
@@ -100,17 +104,22 @@ pub fn evaluate(truth: &Truth, name: &str, source: DetectionSource, config: &Con
         times.extend(scored.ms);
     }
     let thresholds = grid(&images, config);
-    Ok(Evaluation {
+    let mut evaluation = Evaluation {
         name: name.to_owned(),
         config: config.clone(),
         scores: Scores::new(&images, &thresholds, config.bootstrap_draws, config.seed),
         images,
+        min_sides: Vec::new(),
         coco: coco.then(|| score_native(cells)),
         pose: pose.then_some(outcomes),
         problems: reading.problems,
         ms: mean_times(&times),
         located: reading.located,
-    })
+    };
+    if config.wants(Protocol::Paper) {
+        evaluation.min_sides = min_sides(truth, &evaluation);
+    }
+    Ok(evaluation)
 }
 
 fn mean_times(times: &[StageTimes]) -> Option<StageTimes> {
@@ -125,9 +134,9 @@ fn mean_times(times: &[StageTimes]) -> Option<StageTimes> {
 fn grid(images: &[MatchedImage], config: &Config) -> Vec<f64> {
     let mut all: Vec<f64> =
         config.thresholds.iter().copied().chain([config.threshold]).chain((0..=100).map(|k| f64::from(k) / 100.0)).collect();
-    let false_positives = images.iter().flat_map(|i| &i.claims).filter(|c| c.verdict == Verdict::FalsePositive);
-    let mut scores: Vec<f64> = false_positives.map(|c| c.score).collect();
-    scores.sort_unstable_by(|a, b| b.total_cmp(a));
+    let false_positives = |i: &MatchedImage| i.claims.iter().filter(|c| c.verdict == Verdict::FalsePositive).map(|c| c.score).collect();
+    let mut scores: Vec<f64> = images.par_iter().flat_map_iter(|i| -> Vec<f64> { false_positives(i) }).collect();
+    scores.par_sort_unstable_by(|a, b| b.total_cmp(a));
     let mut rank = 1.0;
     while (rank as usize) <= scores.len() {
         all.push(scores[rank as usize - 1]);

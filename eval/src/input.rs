@@ -315,27 +315,32 @@ fn read_file<T: Send>(
     let io = |e| DatasetError::io(path, e);
     let mut reader = BufReader::with_capacity(1 << 20, File::open(path).map_err(io)?);
     let (mut start, mut number) = (0u64, 0usize);
-    loop {
+    let mut next_block = || -> std::io::Result<(Vec<u8>, Vec<usize>)> {
         let mut block = Vec::with_capacity(BLOCK + (1 << 16));
         let mut ends = Vec::new();
-        while block.len() < BLOCK && reader.read_until(b'\n', &mut block).map_err(io)? > 0 {
+        while block.len() < BLOCK && reader.read_until(b'\n', &mut block)? > 0 {
             ends.push(block.len());
         }
+        Ok((block, ends))
+    };
+    let mut now = next_block().map_err(io)?;
+    loop {
+        let (block, ends) = &now;
         if ends.is_empty() {
             return Ok(());
         }
         let line = |k: usize| if k == 0 { 0..ends[0] } else { ends[k - 1]..ends[k] };
-        let scored: Vec<Option<Placed<T>>> = (0..ends.len())
-            .into_par_iter()
-            .map(|k| {
-                let bytes = block[line(k)].trim_ascii();
-                let placed = || match parse(bytes) {
-                    Ok(parsed) => place(truth, parsed, score),
-                    Err(fault) => (None, vec![fault]),
-                };
-                (!bytes.is_empty()).then(placed)
-            })
-            .collect();
+        let score_line = |k: usize| {
+            let bytes = block[line(k)].trim_ascii();
+            let placed = || match parse(bytes) {
+                Ok(parsed) => place(truth, parsed, score),
+                Err(fault) => (None, vec![fault]),
+            };
+            (!bytes.is_empty()).then(placed)
+        };
+        // The next block is read while this one is parsed.
+        let (scored, next) =
+            rayon::join(|| (0..ends.len()).into_par_iter().map(score_line).collect::<Vec<Option<Placed<T>>>>(), &mut next_block);
         for (k, placed) in scored.into_iter().enumerate() {
             let span = (start + line(k).start as u64, line(k).len() as u32);
             if let Some(placed) = placed {
@@ -344,6 +349,7 @@ fn read_file<T: Send>(
         }
         start += block.len() as u64;
         number += ends.len();
+        now = next.map_err(io)?;
     }
 }
 

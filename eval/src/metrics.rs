@@ -1,7 +1,7 @@
 //! `metrics.json`: every figure unrounded; what is undefined is absent.
 use crate::{
-    calibration::calibration, curves, evaluation::Evaluation, failures, interval::Interval, min_side::min_sides, slices::slices,
-    truth::Truth, validate::best_f1, verdict::RowVerdict,
+    calibration::calibration, curves, evaluation::Evaluation, failures, interval::Interval, slices::slices, truth::Truth,
+    validate::best_f1, verdict::RowVerdict,
 };
 use serde_json::{Map, Value, json};
 
@@ -35,7 +35,7 @@ fn paper(truth: &Truth, evaluation: &Evaluation, validation: Option<&Evaluation>
         "markers": scores.markers(),
         "rows": evaluation.rows(),
         "headline": evaluation.headline(),
-        "min_side": min_sides(truth, evaluation),
+        "min_side": evaluation.min_sides,
         "slices": slices(truth, evaluation),
         "calibration": calibration(&evaluation.images),
     });

@@ -17,6 +17,7 @@ use crate::{
     protocol::paper::{MatchedImage, Row, Scores},
     truth::Truth,
 };
+use rayon::prelude::*;
 use serde::Serialize;
 use std::borrow::Cow;
 use tcross_dataset::PixelBox;
@@ -65,7 +66,7 @@ pub fn min_sides(truth: &Truth, evaluation: &Evaluation) -> Vec<MinSide> {
             rows: config.thresholds.iter().filter_map(|t| row(*t)).collect(),
         })
     };
-    config.min_side_px.iter().filter_map(one).collect()
+    config.min_side_px.par_iter().filter_map(one).collect()
 }
 
 /// What is left of an image if only markers for which `counts` holds, and unmatched detections of at least `min_side`
@@ -135,7 +136,7 @@ mod tests {
         let rows: Vec<_> = detections.into_iter().enumerate().map(|(k, d)| row(k, d)).collect();
         let truth = Truth::new(records, BoxConvention::Continuous, None);
         let config = Config { min_side_px, bootstrap_draws: 20, ..Config::default() };
-        min_sides(&truth, &evaluate(&truth, "test", rows.into(), &config, false).unwrap())
+        evaluate(&truth, "test", rows.into(), &config, false).unwrap().min_sides
     }
 
     fn marker(x: f64, side: f64) -> Marker {
@@ -171,8 +172,8 @@ mod tests {
         for item in 0..300 {
             let mut rng = Rng::for_item(8, "eval/test/min-side", item);
             // Places 200 px apart hold a marker or not; claims lie around places or anywhere between.
-            let markers: Vec<Marker> =
-                (0..4).filter_map(|k| rng.chance(0.7).then(|| marker(200.0 * k as f64, rng.int(4, 50) as f64))).collect();
+            let places: Vec<(f64, f64, bool)> = (0..4).map(|k| (f64::from(k) * 200.0, rng.int(4, 50) as f64, rng.chance(0.7))).collect();
+            let markers: Vec<Marker> = places.into_iter().filter(|p| p.2).map(|(at, side, _)| marker(at, side)).collect();
             let near = |rng: &mut Rng| {
                 let at = 200.0 * rng.int(0, 3) as f64;
                 (at + rng.int(0, 20) as f64, at + rng.int(0, 20) as f64)

@@ -62,6 +62,13 @@ pub struct Slice {
     pub classes: Vec<Class>,
 }
 
+impl Slice {
+    /// What the markers are sorted by, without its unit.
+    pub(crate) fn name(&self) -> &str {
+        self.label.split(" (").next().unwrap_or(&self.label)
+    }
+}
+
 /// A factor's value for one marker.
 enum Value {
     Number(f64),
@@ -98,7 +105,7 @@ pub fn slices(truth: &Truth, evaluation: &Evaluation) -> Vec<Slice> {
             serde_json::Value::String(word) => Some(Value::Word(word.clone())),
             _ => None,
         };
-        out.extend(slice(effect, effect, Edges::Found, &outcomes, outcomes.iter().map(value).collect(), evaluation));
+        out.extend(slice(effect, &effect_label(effect), Edges::Found, &outcomes, outcomes.iter().map(value).collect(), evaluation));
     }
     out
 }
@@ -119,17 +126,28 @@ fn factors() -> Vec<Factor> {
         }),
         ("angle", "angle (degrees)", fixed(&[45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0]), |_, m| m.angle.map(Value::Number)),
         ("color", "colour of the fill", Edges::Found, |_, m| m.fill.as_deref().and_then(hue_name).map(|n| Value::Word(n.into()))),
-        ("medium", "drawn with", Edges::Found, |_, m| m.medium.clone().map(Value::Word)),
-        ("surface", "drawn on", Edges::Found, |_, m| m.surface.clone().map(Value::Word)),
-        ("shape", "shape", Edges::Found, |_, m| Some(Value::Word(m.shape.clone()))),
+        ("medium", "drawn with", Edges::Found, |_, m| m.medium.as_deref().map(in_words)),
+        ("surface", "drawn on", Edges::Found, |_, m| m.surface.as_deref().map(in_words)),
+        ("shape", "shape", Edges::Found, |_, m| Some(in_words(&m.shape))),
         ("background", "background", Edges::Found, |r, _| r.background.as_deref().map(|b| Value::Word(background_kind(b)))),
     ]
 }
 
-/// `procedural/<kind>` as it is; of a photo its folder.
+fn in_words(key: &str) -> Value {
+    Value::Word(key.replace('_', " "))
+}
+
+/// The name of an effect with its unit: `noise_percent` is `noise (%)`.
+fn effect_label(key: &str) -> String {
+    let units = [("_px", "px"), ("_deg", "degrees"), ("_percent", "%"), ("_stops", "stops")];
+    let found = units.into_iter().find_map(|(end, unit)| key.strip_suffix(end).map(|name| format!("{name} ({unit})")));
+    found.unwrap_or_else(|| key.to_owned()).replace('_', " ")
+}
+
+/// `embedded/<kind>` as it is; of a photo its folder.
 fn background_kind(background: &str) -> String {
     match background.rsplit_once('/') {
-        _ if background.starts_with("procedural/") => background.to_owned(),
+        _ if background.starts_with("embedded/") => background.to_owned(),
         Some((folder, _)) => folder.to_owned(),
         None => "photos".to_owned(),
     }
@@ -291,9 +309,15 @@ mod tests {
     }
 
     #[test]
+    fn effects_have_units() {
+        let labels = ["noise_percent", "white_balance_stops", "jpeg_quality"].map(effect_label);
+        assert_eq!(labels, ["noise (%)", "white balance (stops)", "jpeg quality"]);
+    }
+
+    #[test]
     fn backgrounds_are_grouped_by_folder() {
         assert_eq!(background_kind("indoor/kitchen/3.jpg"), "indoor/kitchen");
-        assert_eq!(background_kind("procedural/room"), "procedural/room");
+        assert_eq!(background_kind("embedded/room"), "embedded/room");
         assert_eq!(background_kind("a.jpg"), "photos");
     }
 }

@@ -104,6 +104,7 @@ pub fn match_cell(truths: &[CocoTruth], claims: &[CocoClaim]) -> CocoCell {
     // A claim that no truth overlaps enough for the lowest threshold matches nothing, whatever the others do.
     let row = |d: usize| &overlaps[d * truths.len()..(d + 1) * truths.len()];
     let near: Vec<bool> = (0..order.len()).map(|d| row(d).iter().any(|iou| *iou >= thresholds[0])).collect();
+    let any_near = near.contains(&true);
     let mut free = vec![true; truths.len()];
     for (a, range) in AREAS.into_iter().enumerate() {
         let ignored = |t: &CocoTruth| t.crowd || outside(t.area, range);
@@ -112,13 +113,19 @@ pub fn match_cell(truths: &[CocoTruth], claims: &[CocoClaim]) -> CocoCell {
         sorted.sort_by_key(|&g| ignored(&truths[g]));
         let counting = truths.iter().filter(|t| !ignored(t)).count();
         cell.truths[a] = counting as u32;
+        let all_bits = ((1u64 << IOUS) - 1) << (a * IOUS);
+        for (d, &k) in order.iter().enumerate().filter(|(d, _)| !near[*d]) {
+            cell.claims[d].2 |= if outside(claims[k].bbox[2] * claims[k].bbox[3], range) { all_bits } else { 0 };
+        }
+        if !any_near {
+            continue;
+        }
         for (t, threshold) in thresholds.into_iter().enumerate() {
             let bit = 1u64 << (a * IOUS + t);
             free.fill(true);
-            for (d, &k) in order.iter().enumerate() {
+            for (d, &k) in order.iter().enumerate().filter(|(d, _)| near[*d]) {
                 let slot = &mut cell.claims[d];
-                let best = if near[d] { best_truth(row(d), &sorted, counting, truths, &free, threshold) } else { None };
-                match best {
+                match best_truth(row(d), &sorted, counting, truths, &free, threshold) {
                     Some((position, g)) => {
                         free[g] = false;
                         slot.1 |= bit;

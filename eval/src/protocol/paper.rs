@@ -68,6 +68,15 @@ impl Counts {
         self.duplicates += tally.duplicates;
         self.iou += tally.iou;
     }
+
+    /// Adds other images.
+    fn append(&mut self, other: &Self) {
+        self.markers += other.markers;
+        self.tp += other.tp;
+        self.fp += other.fp;
+        self.duplicates += other.duplicates;
+        self.iou += other.iou;
+    }
 }
 
 /// The metrics at one threshold. What is undefined is absent.
@@ -159,6 +168,14 @@ pub struct Scores {
     draws: Bootstrap,
 }
 
+/// What a block of images adds.
+#[derive(Default)]
+struct Sums {
+    empty_images: u64,
+    /// One a threshold: all counts, and false positives on images without a marker.
+    counts: Vec<(Counts, u64)>,
+}
+
 /// Columns of a draw: per threshold found markers, false positives, IoU; then markers and images.
 struct Columns(usize);
 
@@ -192,30 +209,44 @@ impl Scores {
 
     /// The same of images that are made one at a time.
     #[must_use]
-    pub fn from_fn<'a>(images: usize, image: impl Fn(usize) -> Cow<'a, MatchedImage>, thresholds: &[f64], draws: usize, seed: u64) -> Self {
+    pub fn from_fn<'a>(
+        images: usize,
+        image: impl Fn(usize) -> Cow<'a, MatchedImage> + Sync,
+        thresholds: &[f64],
+        draws: usize,
+        seed: u64,
+    ) -> Self {
         let n = thresholds.len();
+        let fill = |i: usize, row: &mut [f32], sums: &mut Sums| {
+            let image = image(i);
+            sums.counts.resize(n, (Counts::default(), 0));
+            for (k, t) in tally(&image.claims, image.markers as usize, thresholds).iter().enumerate() {
+                sums.counts[k].0.add(u64::from(image.markers), t);
+                sums.counts[k].1 += if image.markers == 0 { t.fp } else { 0 };
+                row[k] += t.tp as f32;
+                row[n + k] += t.fp as f32;
+                row[2 * n + k] += t.iou as f32;
+            }
+            sums.empty_images += u64::from(image.markers == 0);
+            row[3 * n] += image.markers as f32;
+            row[3 * n + 1] += 1.0;
+        };
+        let (bootstrap, blocks) = Bootstrap::with_sums(images, Columns(n).width(), draws, seed, fill);
         let mut scores = Self {
             images: images as u64,
             empty_images: 0,
             thresholds: thresholds.to_vec(),
             counts: vec![Counts::default(); n],
             fp_on_empty: vec![0; n],
-            draws: Bootstrap::new(0, 1, 0, seed, |_, _| {}),
+            draws: bootstrap,
         };
-        let bootstrap = Bootstrap::new(images, Columns(n).width(), draws, seed, |i, row| {
-            let image = image(i);
-            for (k, t) in tally(&image.claims, image.markers as usize, thresholds).iter().enumerate() {
-                scores.counts[k].add(u64::from(image.markers), t);
-                scores.fp_on_empty[k] += if image.markers == 0 { t.fp } else { 0 };
-                row[k] += t.tp as f32;
-                row[n + k] += t.fp as f32;
-                row[2 * n + k] += t.iou as f32;
+        for block in blocks {
+            scores.empty_images += block.empty_images;
+            for (k, (counts, fp_on_empty)) in block.counts.iter().enumerate() {
+                scores.counts[k].append(counts);
+                scores.fp_on_empty[k] += fp_on_empty;
             }
-            scores.empty_images += u64::from(image.markers == 0);
-            row[3 * n] += image.markers as f32;
-            row[3 * n + 1] += 1.0;
-        });
-        scores.draws = bootstrap;
+        }
         scores
     }
 

@@ -97,6 +97,10 @@ pub fn over_threshold(run: &Run) -> Figure {
         let curve = curves::over_threshold(scores, quantity);
         plot = plot.with(Series::line(name, curve.points).within(curve.band));
     }
+    let draws = run.evaluation.config.bootstrap_draws;
+    if draws > 0 {
+        plot = plot.caption(format!("Bands: 95 %, {draws} bootstrap draws over images."));
+    }
     Figure::new("threshold", "Precision, recall, F1 and mean IoU against the threshold", &plot)
 }
 
@@ -129,11 +133,12 @@ pub fn slice(slice: &Slice) -> Option<Figure> {
     let right = classes.iter().map(|(x, c)| [*x, c.precision.unwrap_or(f64::NAN)]).collect();
     let precision = Series::line("precision", right).dashed();
     let (first, last) = (classes[0].0, classes[classes.len() - 1].0);
-    let wide = first > 0.0 && last / first > 10.0;
+    // Fractions stay linear: near 0 a ratio means nothing.
+    let wide = first >= 1.0 && last / first > 10.0;
     let x = if wide { Axis::log(&slice.label) } else { Axis::linear(&slice.label) };
     let plot = LinePlot::new("", x, Axis::linear("fraction").from_to(0.0, 1.0)).with(recall).with(iou).with(precision);
     let plot = plot.caption("Each point is a class at its mean; n counts its markers. Band: 95 %, Wilson.");
-    Some(Figure::new(&format!("by-{}", slice.key), &format!("By {}", slice.key), &plot))
+    Some(Figure::new(&format!("by-{}", slice.key), &format!("By {}", slice.name()), &plot))
 }
 
 /// Recall and mean IoU of classes that have words for names.
@@ -147,7 +152,7 @@ fn words(slice: &Slice) -> Option<Figure> {
         rows: slice.classes.iter().map(|c| (c.label.clone(), c.markers, vec![(c.recall, Some(c.recall_ci)), (c.mean_iou, None)])).collect(),
         caption: "n counts markers. Bar: 95 %, Wilson.".into(),
     };
-    Some(Figure { key: format!("by-{}", slice.key), title: format!("By {}", slice.key), canvas: plot.draw() })
+    Some(Figure { key: format!("by-{}", slice.key), title: format!("By {}", slice.name()), canvas: plot.draw() })
 }
 
 /// The share of all markers whose pose is recovered within a given error.
@@ -185,5 +190,5 @@ pub fn pose_slice(slice: &Slice) -> Option<Figure> {
         .with(line("centre (%)", |p| p.center_percent))
         .with(line("corners (%)", |p| p.corner_percent))
         .with(line("angle (degrees)", |p| p.angle_deg));
-    Some(Figure::new(&format!("pose-by-{}", slice.key), &format!("Pose errors by {}", slice.key), &plot))
+    Some(Figure::new(&format!("pose-by-{}", slice.key), &format!("Pose errors by {}", slice.name()), &plot))
 }

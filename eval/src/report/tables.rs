@@ -6,7 +6,6 @@ use crate::{
     curves,
     evaluation::Evaluation,
     failures, metrics,
-    min_side::min_sides,
     paper_tables::{self, PaperRow},
     protocol::{
         coco::CocoScores,
@@ -184,7 +183,7 @@ pub fn min_side(runs: &[Run]) -> Option<Table> {
             ]);
         };
         row("all".into(), 0, &run.evaluation.headline());
-        for at in min_sides(run.truth, run.evaluation) {
+        for at in &run.evaluation.min_sides {
             row(format!(">= {} px", at.min_side_px), at.ignored_markers, &at.headline);
         }
     }
@@ -193,8 +192,7 @@ pub fn min_side(runs: &[Run]) -> Option<Table> {
          own short side is at least that."
             .into(),
     );
-    let asked = runs.iter().any(|r| !r.evaluation.config.min_side_px.is_empty() && r.evaluation.config.wants(crate::Protocol::Paper));
-    asked.then_some(table)
+    runs.iter().any(|r| !r.evaluation.min_sides.is_empty()).then_some(table)
 }
 
 /// Recall and mean IoU of the classes of a factor.

@@ -10,7 +10,7 @@ fn dataset(dir: &std::path::Path) {
         image: format!("test/{k:05}.png"),
         width: 60,
         height: 50,
-        background: Some("procedural/room".into()),
+        background: Some("embedded/room".into()),
         markers: boxes.iter().map(|b| Marker::from_box("t_cross", (*b).into())).collect(),
         intrinsics: None,
         distortion: None,

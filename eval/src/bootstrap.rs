@@ -38,15 +38,12 @@ impl Bootstrap {
             own
         };
         let own = rows.par_chunks_mut(width.max(1)).enumerate().map(block).collect();
+        let times: Vec<Vec<f32>> = (0..draws).into_par_iter().map(|k| weights(blocks, seed, k)).collect();
+        let tiles: Vec<Vec<[f32; TILE]>> = (0..width.div_ceil(TILE)).into_par_iter().map(|t| sum_tile(&rows, width, t, &times)).collect();
         let mut sums = vec![0.0f32; draws * width];
-        sums.par_chunks_mut(width.max(1)).enumerate().for_each(|(k, sum)| {
-            for (row, times) in rows.chunks_exact(width).zip(weights(blocks, seed, k)) {
-                if times > 0 {
-                    let times = f32::from(times);
-                    sum.iter_mut().zip(row).for_each(|(s, r)| *s += times * r);
-                }
-            }
-        });
+        for (k, sum) in sums.chunks_mut(width.max(1)).enumerate() {
+            sum.chunks_mut(TILE).zip(&tiles).for_each(|(part, tile)| part.copy_from_slice(&tile[k][..part.len()]));
+        }
         (Self { width, draws: sums }, own)
     }
 
@@ -67,13 +64,34 @@ impl Bootstrap {
     }
 }
 
+/// Columns that are summed together: their sums stay in registers, their rows in the cache for every draw.
+const TILE: usize = 32;
+
+/// The sums of every draw over the columns of tile `t`.
+fn sum_tile(rows: &[f32], width: usize, t: usize, times: &[Vec<f32>]) -> Vec<[f32; TILE]> {
+    let part = |row: &[f32]| {
+        let mut out = [0.0; TILE];
+        let from = &row[t * TILE..width.min((t + 1) * TILE)];
+        out[..from.len()].copy_from_slice(from);
+        out
+    };
+    let rows: Vec<[f32; TILE]> = rows.chunks_exact(width).map(part).collect();
+    let sum = |times: &Vec<f32>| {
+        let mut sum = [0.0f32; TILE];
+        for (row, n) in rows.iter().zip(times) {
+            sum.iter_mut().zip(row).for_each(|(s, r)| *s += n * r);
+        }
+        sum
+    };
+    times.iter().map(sum).collect()
+}
+
 /// How often each block is drawn in draw `k`.
-fn weights(blocks: usize, seed: u64, k: usize) -> Vec<u16> {
+fn weights(blocks: usize, seed: u64, k: usize) -> Vec<f32> {
     let mut rng = Rng::for_item(seed, "eval/bootstrap", k as u64);
-    let mut times = vec![0u16; blocks];
+    let mut times = vec![0.0; blocks];
     for _ in 0..blocks {
-        let b = rng.index(blocks);
-        times[b] = times[b].saturating_add(1);
+        times[rng.index(blocks)] += 1.0;
     }
     times
 }
@@ -94,6 +112,17 @@ mod tests {
                 assert!(((hi - lo) / width - 1.0).abs() < 0.1, "{lo} {hi}");
             }
             assert!(lo < 0.25 && 0.25 < hi);
+        }
+    }
+
+    #[test]
+    fn tiles_add_up_as_single_columns_do() {
+        // 70 columns fill two tiles and a part of a third.
+        let value = |i: usize, c: usize| ((i * 31 + c * 17) % 23) as f32;
+        let all = Bootstrap::new(40, 70, 9, 3, |i, row| row.iter_mut().enumerate().for_each(|(c, r)| *r += value(i, c)));
+        for c in 0..70 {
+            let one = Bootstrap::new(40, 1, 9, 3, |i, row| row[0] += value(i, c));
+            assert_eq!(all.values(|s| f64::from(s[c])), one.values(|s| f64::from(s[0])), "column {c}");
         }
     }
 

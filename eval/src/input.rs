@@ -1,13 +1,13 @@
 //! Reads detections, strictly or with every fault counted. A file is read in blocks whose lines are parsed and scored in
 //! parallel, so that memory holds what became of the detections and not the detections.
-use crate::{error::EvalError, truth::Truth};
+use crate::{error::EvalError, fast_line, truth::Truth};
 use rayon::prelude::*;
 use serde::Deserialize;
 use std::{
     collections::BTreeMap,
     fmt,
     fs::File,
-    io::{BufRead, BufReader, Read, Seek, SeekFrom},
+    io::{BufRead, Read, Seek, SeekFrom},
     path::{Path, PathBuf},
 };
 use tcross_dataset::{DatasetError, Detection, ImageDetections, PixelBox};
@@ -208,6 +208,9 @@ fn fault_of(d: &Detection) -> Option<Fault> {
 }
 
 fn parse(bytes: &[u8]) -> Result<Parsed, Fault> {
+    if let Some(row) = fast_line::read(bytes) {
+        return Ok(row.into());
+    }
     match serde_json::from_slice::<ImageDetections>(bytes) {
         Ok(row) => Ok(row.into()),
         Err(e) => parse_with_nan(bytes).ok_or_else(|| (ProblemKind::BadLine, e.to_string())),
@@ -313,22 +316,13 @@ fn read_file<T: Send>(
     score: &(impl Fn(usize, &ImageDetections) -> T + Sync),
 ) -> Result<(), EvalError> {
     let io = |e| DatasetError::io(path, e);
-    let mut reader = BufReader::with_capacity(1 << 20, File::open(path).map_err(io)?);
+    let mut file = File::open(path).map_err(io)?;
     let (mut start, mut number) = (0u64, 0usize);
-    let mut next_block = || -> std::io::Result<(Vec<u8>, Vec<usize>)> {
-        let mut block = Vec::with_capacity(BLOCK + (1 << 16));
-        let mut ends = Vec::new();
-        while block.len() < BLOCK && reader.read_until(b'\n', &mut block)? > 0 {
-            ends.push(block.len());
-        }
-        Ok((block, ends))
-    };
-    let mut now = next_block().map_err(io)?;
+    let (mut now, mut next) = (Block::default(), Block::default());
+    now.fill(&mut file, &[]).map_err(io)?;
     loop {
-        let (block, ends) = &now;
-        if ends.is_empty() {
-            return Ok(());
-        }
+        let Block { bytes: block, ends } = &now;
+        let Some(&whole) = ends.last() else { return Ok(()) };
         let line = |k: usize| if k == 0 { 0..ends[0] } else { ends[k - 1]..ends[k] };
         let score_line = |k: usize| {
             let bytes = block[line(k)].trim_ascii();
@@ -339,17 +333,54 @@ fn read_file<T: Send>(
             (!bytes.is_empty()).then(placed)
         };
         // The next block is read while this one is parsed.
-        let (scored, next) =
-            rayon::join(|| (0..ends.len()).into_par_iter().map(score_line).collect::<Vec<Option<Placed<T>>>>(), &mut next_block);
+        let parse_all = || (0..ends.len()).into_par_iter().map(score_line).collect::<Vec<Option<Placed<T>>>>();
+        let (scored, filled) = rayon::join(parse_all, || next.fill(&mut file, &block[whole..]));
+        filled.map_err(io)?;
         for (k, placed) in scored.into_iter().enumerate() {
             let span = (start + line(k).start as u64, line(k).len() as u32);
             if let Some(placed) = placed {
                 sink.take(truth, number + k + 1, span, placed);
             }
         }
-        start += block.len() as u64;
+        start += whole as u64;
         number += ends.len();
-        now = next.map_err(io)?;
+        std::mem::swap(&mut now, &mut next);
+    }
+}
+
+/// Whole lines of a file, and the start of the next.
+#[derive(Default)]
+struct Block {
+    bytes: Vec<u8>,
+    /// One a line, behind its line feed; the last line of a file may lack one.
+    ends: Vec<usize>,
+}
+
+impl Block {
+    /// Reads on behind `rest`, which the block before has left over, until at least one line is whole or the file ends.
+    fn fill(&mut self, file: &mut File, rest: &[u8]) -> std::io::Result<()> {
+        self.bytes.clear();
+        self.ends.clear();
+        self.bytes.extend_from_slice(rest);
+        while self.ends.is_empty() {
+            let searched = self.bytes.len();
+            if file.take(BLOCK as u64).read_to_end(&mut self.bytes)? == 0 {
+                if !self.bytes.is_empty() {
+                    self.ends.push(self.bytes.len());
+                }
+                return Ok(());
+            }
+            let mut unread = &self.bytes[searched..];
+            loop {
+                let passed = unread.skip_until(b'\n')?;
+                let end = self.bytes.len() - unread.len();
+                if passed == 0 || self.bytes[end - 1] != b'\n' {
+                    break;
+                }
+                self.ends.push(end);
+            }
+        }
+        Ok(())
     }
 }
 
@@ -424,6 +455,22 @@ mod tests {
             let counted = read_lines(&lines, true).unwrap().problems;
             assert_eq!(counted.get(&kind), Some(&1), "{kind:?}");
         }
+    }
+
+    #[test]
+    fn blocks_hold_whole_lines() {
+        let text = "one\n\nthree\nlast";
+        let mut file = tempfile::tempfile().unwrap();
+        std::io::Write::write_all(&mut file, text.as_bytes()).unwrap();
+        file.seek(SeekFrom::Start(0)).unwrap();
+        let mut block = Block::default();
+        block.fill(&mut file, b"zero and ").unwrap();
+        assert_eq!(block.ends, [13, 14, 20]);
+        let rest = block.bytes[20..].to_vec();
+        block.fill(&mut file, &rest).unwrap();
+        assert_eq!((block.bytes.as_slice(), block.ends.as_slice()), (&b"last"[..], &[4][..]));
+        block.fill(&mut file, &[]).unwrap();
+        assert!(block.ends.is_empty());
     }
 
     #[test]

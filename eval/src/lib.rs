@@ -8,6 +8,7 @@ pub mod curves;
 pub mod error;
 pub mod evaluation;
 pub mod failures;
+mod fast_line;
 pub mod figures;
 pub mod input;
 pub mod interval;

@@ -197,6 +197,28 @@ mod reference {
     //! The paper's rule for one marker an image, word for word.
     use super::*;
 
+    /// Several markers: the pairs of the whole image by falling score of the detection, then by falling IoU, then by the
+    /// marker's place; each pair is taken if both are free. (TP, FP, duplicates) at a threshold.
+    pub fn several(markers: &[Marker], detections: &[Detection], threshold: f64) -> (u64, u64, u64) {
+        let mut pairs: Vec<(usize, usize, f64)> = Vec::new();
+        for (d, detection) in detections.iter().enumerate().filter(|(_, d)| d.score >= threshold) {
+            let over = |m: &Marker| iou_inclusive(&detection.bounds, &m.bounds);
+            pairs.extend(markers.iter().enumerate().map(|(m, marker)| (d, m, over(marker))).filter(|p| p.2 >= 0.2));
+        }
+        let score = |p: &(usize, usize, f64)| detections[p.0].score;
+        pairs.sort_by(|a, b| score(b).total_cmp(&score(a)).then(a.0.cmp(&b.0)).then(b.2.total_cmp(&a.2)).then(a.1.cmp(&b.1)));
+        let (mut taken, mut found) = (vec![false; detections.len()], vec![false; markers.len()]);
+        for (d, m, _) in &pairs {
+            if !taken[*d] && !found[*m] {
+                (taken[*d], found[*m]) = (true, true);
+            }
+        }
+        let kept = detections.iter().filter(|d| d.score >= threshold).count();
+        let touching = (0..detections.len()).filter(|d| pairs.iter().any(|p| p.0 == *d)).count();
+        let tp = found.iter().filter(|f| **f).count();
+        (tp as u64, (kept - touching) as u64, (touching - tp) as u64)
+    }
+
     pub fn one_marker(marker: &Marker, detections: &[Detection], threshold: f64) -> Tally {
         let ious: Vec<f64> = detections.iter().filter(|d| d.score >= threshold).map(|d| iou_inclusive(&d.bounds, &marker.bounds)).collect();
         let hits = ious.iter().filter(|i| **i >= 0.2).count() as u64;
@@ -236,6 +258,29 @@ mod tests {
                 let want = reference::one_marker(&truth, &detections, *t);
                 assert!((got.iou - want.iou).abs() < 1e-12, "{got:?} {want:?}");
                 assert_eq!(Tally { iou: want.iou, ..*got }, want);
+            }
+        }
+    }
+
+    #[test]
+    fn several_markers_an_image_are_matched_as_by_lists_of_pairs() {
+        for item in 0..1000 {
+            let mut rng = Rng::for_item(4, "eval/test/several", item);
+            let mut draw = |n: usize, side: i64| -> Vec<[f64; 4]> {
+                (0..rng.index(n))
+                    .map(|_| {
+                        let (x, y) = (rng.int(0, 40) as f64, rng.int(0, 40) as f64);
+                        [x, y, x + rng.int(0, side) as f64, y + rng.int(0, side) as f64]
+                    })
+                    .collect()
+            };
+            let markers: Vec<Marker> = draw(5, 30).into_iter().map(marker).collect();
+            let boxes = draw(10, 40);
+            let detections: Vec<Detection> = boxes.into_iter().map(|b| detection(rng.int(0, 10) as f64 / 10.0, b)).collect();
+            let claims = match_image(&markers, &detections, &Rule::default());
+            for threshold in [0.0, 0.25, 0.5, 0.75] {
+                let got = tally(&claims, markers.len(), &[threshold])[0];
+                assert_eq!((got.tp, got.fp, got.duplicates), reference::several(&markers, &detections, threshold), "image {item}");
             }
         }
     }

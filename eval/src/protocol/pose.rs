@@ -255,6 +255,43 @@ impl PoseOutcomes {
 }
 
 #[cfg(test)]
+mod reference {
+    //! Errors of a pose word for word: vectors for the angle, a grid of points for the overlap.
+    use tcross_dataset::{Pose, Quad};
+
+    /// Angle between the two stems, 0..180 degrees, from their scalar product.
+    pub fn angle_between(center: [f64; 2], corner: [f64; 2], pose: &Pose) -> f64 {
+        let a = [corner[0] - center[0], corner[1] - center[1]];
+        let b = [pose.angle.to_radians().cos(), -pose.angle.to_radians().sin()];
+        let cos = (a[0] * b[0] + a[1] * b[1]) / a[0].hypot(a[1]);
+        cos.clamp(-1.0, 1.0).acos().to_degrees()
+    }
+
+    /// Inside a convex quadrilateral: on one side of all four edges.
+    fn inside(q: &Quad, p: [f64; 2]) -> bool {
+        let side = |k: usize| {
+            let (a, b) = (q.0[k], q.0[(k + 1) % 4]);
+            (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])
+        };
+        (0..4).all(|k| side(k) >= 0.0) || (0..4).all(|k| side(k) <= 0.0)
+    }
+
+    /// Overlap counted over points a quarter of a pixel apart.
+    pub fn iou(a: &Quad, b: &Quad) -> f64 {
+        let (mut both, mut either) = (0u64, 0u64);
+        for y in 0..480 {
+            for x in 0..480 {
+                let p = [f64::from(x) / 4.0 - 10.0, f64::from(y) / 4.0 - 10.0];
+                let (in_a, in_b) = (inside(a, p), inside(b, p));
+                both += u64::from(in_a && in_b);
+                either += u64::from(in_a || in_b);
+            }
+        }
+        both as f64 / either as f64
+    }
+}
+
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::matching::{Rule, match_image};
@@ -317,6 +354,38 @@ mod tests {
             let mut turned = [0; 4];
             turned[(4 - turn) % 4] = 1;
             assert_eq!(s.turned, turned);
+        }
+    }
+
+    #[test]
+    fn errors_are_those_of_the_definitions_on_random_poses() {
+        for item in 0..60 {
+            let mut rng = tcross_dataset::Rng::for_item(6, "eval/test/pose", item);
+            // A square turned, sheared a little, its corners moved: still convex.
+            let mut drawn = |around: [f64; 2], turn: f64| {
+                let corner = |k: usize, rng: &mut tcross_dataset::Rng| {
+                    let a = (turn + 90.0 * k as f64).to_radians();
+                    [around[0] + 30.0 * a.cos() + rng.uniform(-4.0, 4.0), around[1] + 30.0 * a.sin() + rng.uniform(-4.0, 4.0)]
+                };
+                Quad([0, 1, 2, 3].map(|k| corner(k, &mut rng)))
+            };
+            let turn = 360.0 * item as f64 / 60.0;
+            let (truth, seen) = (drawn([50.0, 50.0], turn), drawn([53.0, 48.0], turn + (item % 7) as f64 * 31.0));
+            let center = truth.diagonal_crossing().unwrap();
+            let marker = Marker { corners: Some(truth), ..Marker::from_box("t_cross", truth.bounds()) };
+            let found = seen.diagonal_crossing().unwrap();
+            let angle = angle_deg(seen.0[0][0] - found[0], seen.0[0][1] - found[1]);
+            let PoseOutcome::Found(pose) = pose_of(&Marker { center: Some(found), angle: Some(angle), ..marker.clone() }, 0.0) else {
+                panic!("a pose")
+            };
+            let pose = Pose { corners: seen, ..*pose };
+            let got = super::compare(0, 0, &marker, &truth, &pose);
+            let distance = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
+            assert!((got.center_px - distance(center, found)).abs() < 1e-9);
+            let rms = (0..4).map(|k| distance(truth.0[k], seen.0[k]).powi(2)).sum::<f64>() / 4.0;
+            assert!((got.corner_px - rms.sqrt()).abs() < 1e-9);
+            assert!((got.angle_deg.abs() - reference::angle_between(center, truth.0[0], &pose)).abs() < 1e-5, "{}", got.angle_deg);
+            assert!((got.quad_iou - reference::iou(&truth, &seen)).abs() < 0.01, "{} item {item}", got.quad_iou);
         }
     }
 

@@ -3,7 +3,7 @@ use super::{Built, Gallery, gallery::base64};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 /// Tables that stand in the first part; the others are folded away further down.
-const FIRST: [&str; 8] = ["headline", "sweeps", "expected", "min-side", "compare-1", "pose", "pose-shares", "summary"];
+const FIRST: [&str; 9] = ["headline", "table6", "sweeps", "expected", "min-side", "compare-1", "pose", "pose-shares", "summary"];
 
 impl Built {
     /// The page.

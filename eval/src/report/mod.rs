@@ -212,6 +212,7 @@ fn build_run(run: &Run) -> Part {
     let mut part = Part { tables: Vec::new(), figures: Vec::new(), galleries: Vec::new() };
     let slices = slices::slices(truth, evaluation);
     if evaluation.config.wants(crate::Protocol::Paper) {
+        part.tables.extend(tables::table_6(run).map(|t| NamedTable::new("table6", t)));
         part.tables.push(NamedTable::new("thresholds", tables::thresholds(evaluation)));
         part.tables.push(NamedTable::new("summary", tables::summary(run)));
         part.figures.push(figures::over_threshold(run));

@@ -100,8 +100,12 @@ fn our_row(name: &str, whose: &str, r: &Row) -> Vec<Cell> {
     ]
 }
 
+fn verdict_cell(v: Option<crate::verdict::Verdict>, more_is_better: bool) -> Cell {
+    v.map_or(Cell::Undefined, |v| Cell::Verdict(v.word(), v.is_good(more_is_better)))
+}
+
 fn verdict_row(v: &RowVerdict) -> Vec<Cell> {
-    let word = |v: Option<crate::verdict::Verdict>, good: bool| v.map_or(Cell::Undefined, |v| Cell::Verdict(v.word(), v.is_good(good)));
+    let word = verdict_cell;
     let blank = || Cell::text("");
     vec![
         blank(),
@@ -142,6 +146,64 @@ pub fn thresholds(evaluation: &Evaluation) -> Table {
     }
     table.notes.push("Duplicates, further detections of a found marker, count neither as true nor as false positives.".into());
     table
+}
+
+/// Table 6 of the paper: every printed threshold, ours below it and the verdict; `None` for a run that names another table.
+pub fn table_6(run: &Run) -> Option<Table> {
+    run.paper().filter(|p| p.table == 6)?;
+    let evaluation = run.evaluation;
+    let columns = ["threshold", "whose", "markers", "mean IoU", "95 %", "TP", "FP", "FN", "precision", "95 %", "recall", "95 %"];
+    let mut table = Table::new("Table 6 of the paper, threshold by threshold.", &columns);
+    for p in paper_tables::table(6) {
+        let row = evaluation.row_at(p.threshold);
+        let v = RowVerdict::new(&row, evaluation.scores.images, p);
+        let threshold = || Cell::Number(p.threshold, 2);
+        table.rows.push(vec![
+            threshold(),
+            Cell::text("paper"),
+            Cell::Count(p.markers),
+            Cell::Number(p.mean_iou, 3),
+            Cell::Undefined,
+            Cell::Count(p.tp()),
+            Cell::Count(p.fp),
+            Cell::Count(p.fn_),
+            Cell::Number(p.precision(), 3),
+            Cell::Undefined,
+            Cell::Number(p.recall(), 3),
+            Cell::Undefined,
+        ]);
+        table.rows.push(vec![
+            threshold(),
+            Cell::text("ours"),
+            Cell::Count(row.tp + row.fn_),
+            Cell::number(row.mean_iou, 3),
+            Cell::range(row.mean_iou_ci, 3),
+            Cell::Count(row.tp),
+            Cell::Count(row.fp),
+            Cell::Count(row.fn_),
+            Cell::number(row.precision, 3),
+            Cell::range(row.precision_ci, 3),
+            Cell::number(row.recall, 3),
+            Cell::range(row.recall_ci, 3),
+        ]);
+        let blank = || Cell::text("");
+        table.rows.push(vec![
+            blank(),
+            Cell::text("verdict"),
+            blank(),
+            verdict_cell(v.mean_iou, true),
+            blank(),
+            blank(),
+            verdict_cell(v.fp, false),
+            verdict_cell(v.fn_, false),
+            verdict_cell(v.precision, true),
+            blank(),
+            verdict_cell(v.recall, true),
+            blank(),
+        ]);
+    }
+    table.notes.push("Precision and recall of the paper are recomputed from its counts, which it prints.".into());
+    Some(table)
 }
 
 /// COCO's twelve numbers, a row a run.

@@ -322,8 +322,9 @@ fn train(row: &Row, resume: bool, ours: bool) -> Outcome {
 fn infer(row: &Row, network: &Row) -> Outcome {
     let detector = Detector::load(network.run())?.configured(&row.config.infer);
     let mut boxes = Boxes::Detector(Box::new(detector));
-    // Validation chooses a threshold, for which boxes are enough.
-    let without_poses = tcross_infer::Config { pose: false, ..row.config.infer.clone() };
+    // Validation chooses a threshold, for which boxes are enough, unless a refused pose takes its box along.
+    let poses = row.config.infer.pose && row.config.infer.pose_filter;
+    let without_poses = tcross_infer::Config { pose: poses, ..row.config.infer.clone() };
     let test = (Split::Test, row.detections(), &row.config.infer);
     for (split, out, config) in [test].into_iter().chain(row.validation().map(|out| (Split::Val, out, &without_poses))) {
         let source = if row.tests_on_all() { work::all_splits(&[row.data()])? } else { Source::open(&[row.data()], Some(split))? };

@@ -1,5 +1,6 @@
 //! The program as a user meets it: words in, words out, files, exit codes.
 mod datasets;
+mod evaluation;
 mod help;
 mod reproduce;
 mod wrong_usage;

@@ -67,6 +67,40 @@ pub fn hex(color: Linear) -> String {
     format!("#{r:02x}{g:02x}{b:02x}")
 }
 
+/// Colours by name: those that highlighters and felt tips come in.
+const NAMES: [(&str, [u8; 3]); 13] = [
+    ("red", [230, 20, 30]),
+    ("orange", [255, 130, 0]),
+    ("yellow", [255, 225, 0]),
+    ("lime", [150, 230, 0]),
+    ("green", [0, 200, 0]),
+    ("turquoise", [0, 200, 190]),
+    ("cyan", [0, 180, 240]),
+    ("blue", [0, 0, 200]),
+    ("violet", [120, 30, 200]),
+    ("magenta", [220, 0, 180]),
+    ("pink", [255, 80, 150]),
+    ("black", [0, 0, 0]),
+    ("white", [255, 255, 255]),
+];
+
+/// A colour as people write it: `#rrggbb` or one of a dozen names.
+///
+/// # Errors
+/// Says what is allowed.
+pub fn parse(text: &str) -> Result<Rgb<u8>, String> {
+    if let Some((_, rgb)) = NAMES.iter().find(|(name, _)| text.eq_ignore_ascii_case(name)) {
+        return Ok(Rgb(*rgb));
+    }
+    let digits = text
+        .strip_prefix('#')
+        .filter(|d| d.len() == 6 && d.bytes().all(|b| b.is_ascii_hexdigit()))
+        .and_then(|d| u32::from_str_radix(d, 16).ok());
+    digits
+        .map(|v| Rgb([16, 8, 0].map(|shift| (v >> shift & 255) as u8)))
+        .ok_or_else(|| format!("expected #rrggbb or one of {}", NAMES.map(|n| n.0).join(", ")))
+}
+
 /// Relative luminance, 0..1.
 #[must_use]
 pub fn luminance(c: Linear) -> f32 {
@@ -105,6 +139,13 @@ mod tests {
         for v in 0..=255u8 {
             assert_eq!(stored(linear_table()[v as usize]), v);
         }
+    }
+
+    #[test]
+    fn colours_are_read_as_people_write_them() {
+        assert_eq!(parse("#12aBff").unwrap(), Rgb([0x12, 0xab, 0xff]));
+        assert_eq!(parse("Green").unwrap(), Rgb([0, 200, 0]));
+        assert!(["", "#12", "12abff", "#1234567", "#+12345", "gren"].iter().all(|t| parse(t).is_err()));
     }
 
     #[test]

@@ -1,9 +1,9 @@
 //! The `[data]` section: every choice of the generator as a named number, distribution or weighted choice.
-use crate::{dist::Dist, error::DatagenError, media::Medium, shapes::Shape, surface::Surface};
+use crate::{blend::Blend, dist::Dist, error::DatagenError, hand::video::Moment, media::Medium, shapes::Shape, surface::Surface};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use tcross_dataset::{Rng, dataset::BoxConvention};
+use tcross_dataset::{Rng, Split, dataset::BoxConvention};
 
 /// A choice among names, each with a weight; names that are not there, or have weight 0, are never drawn.
 pub type Weights<T> = BTreeMap<T, f64>;
@@ -44,6 +44,8 @@ pub struct Config {
     pub camera: CameraConfig,
     /// What may be taken for a marker and is none (style "hand-drawn").
     pub confusers: ConfusersConfig,
+    /// Videos instead of single images (style "hand-drawn").
+    pub video: VideoConfig,
 }
 
 impl Default for Config {
@@ -60,6 +62,7 @@ impl Default for Config {
             hand: HandConfig::default(),
             camera: CameraConfig::default(),
             confusers: ConfusersConfig::default(),
+            video: VideoConfig::default(),
         }
     }
 }
@@ -73,13 +76,20 @@ pub struct BackgroundConfig {
     pub crop: Dist,
     /// Share of photo crops that are mirrored.
     pub mirrored: f64,
+    /// Keeps photos that show nearly the same in one split. Every photo is decoded once for it before the first image.
+    pub near_duplicates_together: bool,
     /// Embedded scenes by kind.
     pub scenes: Weights<SceneKind>,
 }
 
 impl Default for BackgroundConfig {
     fn default() -> Self {
-        Self { crop: Dist::uniform(0.5, 1.0), mirrored: 0.5, scenes: SceneKind::ALL.into_iter().map(|k| (k, 1.0)).collect() }
+        Self {
+            crop: Dist::uniform(0.5, 1.0),
+            mirrored: 0.5,
+            near_duplicates_together: true,
+            scenes: SceneKind::ALL.into_iter().map(|k| (k, 1.0)).collect(),
+        }
     }
 }
 
@@ -186,6 +196,10 @@ pub struct MarkersConfig {
     pub media: Weights<Medium>,
     /// What the lines are drawn with, by weight; a medium that would not show on the fill is drawn again.
     pub line_media: Weights<Medium>,
+    /// Hues of the fills in degrees (0 red, 120 green, 240 blue), each alike; videos take them in turn. Where there is none, any hue.
+    pub hues: Vec<f64>,
+    /// How markers are put into the picture, by weight, so that no kind of seam gives them away.
+    pub blend: Weights<Blend>,
 }
 
 impl Default for MarkersConfig {
@@ -214,6 +228,8 @@ impl Default for MarkersConfig {
                 Medium::Highlighter,
                 Medium::Paint,
             ]),
+            hues: Vec::new(),
+            blend: Blend::ALL.into_iter().map(|b| (b, if b == Blend::Matched { 3.0 } else { 1.0 })).collect(),
         }
     }
 }
@@ -281,7 +297,7 @@ pub struct CameraConfig {
     pub camera_moves: f64,
     /// Radius of the defocus in pixels.
     pub defocus_px: Dist,
-    /// Blur of the marker alone that fits it to the photo's sharpness: deviation in pixels.
+    /// Least blur of the marker alone: deviation in pixels. Where the photo's own edges are softer, it is as soft as they are.
     pub softness_px: Dist,
     /// Exposure in stops.
     pub exposure_stops: Dist,
@@ -340,6 +356,44 @@ impl Default for ConfusersConfig {
     }
 }
 
+/// Short videos of one marker each by a hand-held camera.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct VideoConfig {
+    /// Number of videos over all images, each of one marker; 0 makes single images. Images are dealt to them evenly and in order.
+    pub sequences: u64,
+    /// Frames a second.
+    pub fps: f64,
+    /// Every N-th frame becomes an image.
+    pub every: u64,
+    /// How far the camera wanders, as a fraction of its distance from the marker.
+    pub wander: Dist,
+    /// How fast it wanders: turns a second of its slowest motion.
+    pub pace_hz: Dist,
+    /// How much the hand trembles, in degrees.
+    pub tremor_deg: Dist,
+    /// How long the shutter is open, in milliseconds; what moves meanwhile is blurred.
+    pub exposure_ms: Dist,
+    /// True: all frames of a video stand in one split. False: image i is in the split of i mod 10 as in the paper, so that nearly the same
+    /// picture may be learnt from and tested on.
+    pub whole_sequences: bool,
+}
+
+impl Default for VideoConfig {
+    fn default() -> Self {
+        Self {
+            sequences: 0,
+            fps: 30.0,
+            every: 10,
+            wander: Dist::uniform(0.15, 0.5),
+            pace_hz: Dist::log(0.05, 0.25),
+            tremor_deg: Dist::uniform(0.02, 0.2),
+            exposure_ms: Dist::log(4.0, 33.0),
+            whole_sequences: true,
+        }
+    }
+}
+
 /// One of the names, by weight.
 pub fn choose<T: Copy>(weights: &Weights<T>, rng: &mut Rng) -> Option<T> {
     if weights.is_empty() {
@@ -359,6 +413,16 @@ impl Config {
         }
     }
 
+    /// The split of image `index`: by `index mod 10`, or the split of its video.
+    #[must_use]
+    pub fn split_of(&self, index: u64) -> Split {
+        match Moment::of(&self.video, self.images, index).filter(|_| self.video.whole_sequences) {
+            // Videos are dealt like ten groups of images, in order.
+            Some(moment) => Split::of(((2 * moment.sequence + 1) * 5 / self.video.sequences) as usize),
+            None => Split::of(index as usize),
+        }
+    }
+
     /// Checks every value against what is possible.
     ///
     /// # Errors
@@ -372,6 +436,8 @@ impl Config {
         within("background.crop", &self.background.crop, 0.01, 1.0)?;
         share("background.mirrored", self.background.mirrored)?;
         weights("background.scenes", &self.background.scenes)?;
+        let videos = self.video.sequences > 0 && self.style == Style::Paper;
+        check(!videos, "video.sequences", self.video.sequences, "0 in style \"paper\"")?;
         match self.style {
             Style::Paper => self.validate_paper(),
             Style::HandDrawn => self.validate_hand_drawn(),
@@ -400,6 +466,7 @@ impl Config {
         weights("markers.surfaces", &m.surfaces)?;
         weights("markers.media", &m.media)?;
         weights("markers.line_media", &m.line_media)?;
+        weights("markers.blend", &m.blend)?;
         within("hand.wobble", &h.wobble, 0.0, 200.0)?;
         within("hand.corner_error", &h.corner_error, 0.0, 0.3)?;
         within("hand.end_error", &h.end_error, 0.0, 0.3)?;
@@ -431,7 +498,22 @@ impl Config {
         ] {
             share(key, value)?;
         }
-        Ok(())
+        check(m.hues.iter().all(|h| (0.0..=360.0).contains(h)), "markers.hues", format!("{:?}", m.hues), "0 to 360")?;
+        if self.video.sequences > 0 { self.validate_video() } else { Ok(()) }
+    }
+
+    fn validate_video(&self) -> Result<(), DatagenError> {
+        let v = &self.video;
+        check(v.sequences <= self.images, "video.sequences", v.sequences, "at most one an image")?;
+        check((1.0..=1000.0).contains(&v.fps), "video.fps", v.fps, "1 to 1000")?;
+        check((1..=10_000).contains(&v.every), "video.every", v.every, "1 to 10000")?;
+        within("video.wander", &v.wander, 0.0, 0.8)?;
+        within("video.pace_hz", &v.pace_hz, 0.0, 5.0)?;
+        within("video.tremor_deg", &v.tremor_deg, 0.0, 5.0)?;
+        within("video.exposure_ms", &v.exposure_ms, 0.0, 500.0)?;
+        let (one, none) = (self.markers.per_image.bounds(), self.confusers.near_misses.bounds());
+        check(one == (1.0, 1.0), "markers.per_image", format!("\"{}\"", self.markers.per_image), "1 where there are videos")?;
+        check(none == (0.0, 0.0), "confusers.near_misses", format!("\"{}\"", self.confusers.near_misses), "0 where there are videos")
     }
 }
 

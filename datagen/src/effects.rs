@@ -98,24 +98,64 @@ pub fn soften(plane: &mut [f32], width: usize, height: usize, sigma: f32) {
 }
 
 /// A shadow with a soft straight edge over a part of the picture.
-pub fn shadow(canvas: &mut Canvas, rng: &mut Rng) {
-    let (w, h) = (canvas.width as f64, canvas.height as f64);
-    let angle = rng.uniform(0.0, std::f64::consts::TAU);
-    let (nx, ny) = (libm::cos(angle) as f32, libm::sin(angle) as f32);
-    let at = (rng.uniform(0.1, 0.9) * w) as f32 * nx + (rng.uniform(0.1, 0.9) * h) as f32 * ny;
-    let soft = rng.log_uniform(1.0, 60.0) as f32;
-    let depth = rng.uniform(0.25, 0.75) as f32;
-    // Shadows of a hand or a pole have two edges.
-    let band = if rng.chance(0.5) { rng.uniform(20.0, w * 0.5) as f32 } else { f32::INFINITY };
-    for y in 0..canvas.height {
-        for x in 0..canvas.width {
-            let into = x as f32 * nx + y as f32 * ny - at;
-            let covered = (into / soft + 0.5).clamp(0.0, 1.0).min(((band - into) / soft + 0.5).clamp(0.0, 1.0));
-            if covered > 0.0 {
-                let k = y * canvas.width + x;
-                canvas.planes.iter_mut().for_each(|p| p[k] *= 1.0 - depth * covered);
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shadow {
+    /// Direction into the shadow, in radians.
+    pub angle: f64,
+    /// Distance of its edge from the picture's first corner along that direction, in pixels.
+    pub at: f32,
+    /// Width of the half shadow in pixels.
+    pub soft: f32,
+    /// What part of the light it takes, 0..1.
+    pub depth: f32,
+    /// Its width in pixels; shadows of a hand or a pole have two edges, infinity where there is one.
+    pub band: f32,
+}
+
+impl Shadow {
+    /// Any shadow over a picture of this size.
+    pub fn sample(width: usize, height: usize, rng: &mut Rng) -> Self {
+        let (w, h) = (width as f64, height as f64);
+        let angle = rng.uniform(0.0, std::f64::consts::TAU);
+        let (nx, ny) = (libm::cos(angle) as f32, libm::sin(angle) as f32);
+        let at = (rng.uniform(0.1, 0.9) * w) as f32 * nx + (rng.uniform(0.1, 0.9) * h) as f32 * ny;
+        let soft = rng.log_uniform(1.0, 60.0) as f32;
+        let depth = rng.uniform(0.25, 0.75) as f32;
+        let band = if rng.chance(0.5) { rng.uniform(20.0, w * 0.5) as f32 } else { f32::INFINITY };
+        Self { angle, at, soft, depth, band }
+    }
+
+    /// Darkens the picture.
+    pub fn cast(&self, canvas: &mut Canvas) {
+        let (nx, ny) = (libm::cos(self.angle) as f32, libm::sin(self.angle) as f32);
+        let mut light = vec![1f32; canvas.width];
+        for y in 0..canvas.height {
+            let first = y as f32 * ny - self.at;
+            for (x, light) in light.iter_mut().enumerate() {
+                let into = x as f32 * nx + first;
+                let covered = (into / self.soft + 0.5).min((self.band - into) / self.soft + 0.5).clamp(0.0, 1.0);
+                *light = 1.0 - self.depth * covered;
+            }
+            for plane in &mut canvas.planes {
+                plane[y * canvas.width..][..canvas.width].iter_mut().zip(&light).for_each(|(v, l)| *v *= l);
             }
         }
+    }
+
+    /// For the record: `angle_deg`, `at_px`, `soft_px`, `depth`, and `band_px` where it has two edges.
+    #[must_use]
+    pub fn parameters(&self) -> serde_json::Value {
+        let short = |v: f32| (f64::from(v) * 1e3).round() / 1e3;
+        let mut out = serde_json::json!({
+            "angle_deg": (self.angle.to_degrees() * 1e3).round() / 1e3,
+            "at_px": short(self.at),
+            "soft_px": short(self.soft),
+            "depth": short(self.depth),
+        });
+        if self.band.is_finite() {
+            out["band_px"] = short(self.band).into();
+        }
+        out
     }
 }
 

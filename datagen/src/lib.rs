@@ -10,7 +10,9 @@
 //! ```
 pub mod audit;
 pub mod background;
+pub mod blend;
 pub mod canvas;
+pub mod card;
 pub mod color;
 pub mod config;
 pub mod dist;
@@ -29,6 +31,7 @@ pub mod surface;
 pub mod writer;
 
 pub use background::Backgrounds;
+pub use blend::Blend;
 pub use config::{Config, Style};
 pub use dist::Dist;
 pub use error::DatagenError;

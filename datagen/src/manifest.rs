@@ -50,6 +50,9 @@ pub struct BackgroundsEntry {
     pub digest: String,
     /// Photos that could not be read.
     pub skipped: Vec<String>,
+    /// Photos that show nearly the same, group by group; each group stands in one split.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub near_duplicates: Vec<Vec<String>>,
 }
 
 impl BackgroundsEntry {
@@ -59,12 +62,13 @@ impl BackgroundsEntry {
             count: backgrounds.count() as u64,
             digest: backgrounds.digest(),
             skipped: backgrounds.skipped(),
+            near_duplicates: backgrounds.near_duplicates(),
         }
     }
 }
 
 /// Version of the drawing code; moves with every change of a pixel.
-pub const DRAWING: u32 = 1;
+pub const DRAWING: u32 = 2;
 
 /// Equal where the bytes of the dataset are equal.
 #[must_use]

@@ -188,14 +188,22 @@ impl MarkerSheet {
         out
     }
 
-    /// Writes the sheet as what the name ends in: `.svg`, `.pdf` or `.png` (ten pixels a millimetre, 4000 at most).
+    /// Writes the sheet as what the name ends in: `.svg`, `.pdf` or `.png`.
     ///
     /// # Errors
     /// If the lengths cannot be, the ending is another, or the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<(), DatagenError> {
-        self.validate()?;
         let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-        match ending.as_str() {
+        self.save_as(&ending, path)
+    }
+
+    /// Writes the sheet as `svg`, `pdf` or `png` (ten pixels a millimetre of the marker, 1600 pixels at most) under any name.
+    ///
+    /// # Errors
+    /// If the lengths cannot be, the form is another, or the file cannot be written.
+    pub fn save_as(&self, form: &str, path: &Path) -> Result<(), DatagenError> {
+        self.validate()?;
+        match form {
             "svg" => files::write_atomically(path, self.svg())?,
             "pdf" => files::write_atomically(path, self.pdf())?,
             "png" => {

@@ -3,10 +3,11 @@ use crate::{
     background::Backgrounds,
     config::{Config, Style},
     error::DatagenError,
-    hand, paper,
+    hand::{self, video::Moment},
+    paper,
 };
 use image::RgbImage;
-use tcross_dataset::{Record, Rng, Split};
+use tcross_dataset::{Record, Rng};
 
 /// One image, its truth, and the quality to store it with.
 #[derive(Debug)]
@@ -24,10 +25,14 @@ pub struct Sample {
 /// # Errors
 /// If no background can be read.
 pub fn sample(config: &Config, backgrounds: &Backgrounds, seed: u64, index: u64) -> Result<Sample, DatagenError> {
-    let backdrop = backgrounds.backdrop(config, seed, index)?;
+    let moment = Moment::of(&config.video, config.images, index);
+    let backdrop = match &moment {
+        Some(moment) => backgrounds.panorama(config, seed, moment)?,
+        None => backgrounds.backdrop(config, seed, index)?,
+    };
     let quality = config.jpeg_quality.sample(&mut Rng::for_item(seed, "datagen/jpeg", index)).round() as u8;
     let mut record = Record {
-        image: format!("{}/{index:05}.jpg", Split::of(index as usize)),
+        image: format!("{}/{index:05}.jpg", config.split_of(index)),
         width: config.width,
         height: config.height,
         background: Some(backdrop.name.clone()),
@@ -44,7 +49,7 @@ pub fn sample(config: &Config, backgrounds: &Backgrounds, seed: u64, index: u64)
         }
         Style::HandDrawn => {
             record.effects.insert("jpeg_quality".into(), quality.into());
-            hand::draw(backdrop.into_canvas(), config, seed, index, &mut record)
+            hand::draw(backdrop.into_canvas(), config, seed, index, moment, &mut record)
         }
     };
     Ok(Sample { image, record, quality })

@@ -49,10 +49,19 @@ pub fn paint(canvas: &mut Canvas, rng: &mut Rng) {
         }
         4 => words(canvas, center, r, lit(second), [c, s], rng),
         _ => {
-            // A part of the picture made saturated: the photo's own colours in the shape of a sign.
-            fill(canvas, &outline, |_, _| (lit(first), 0.0));
-            let share = rng.uniform(0.4, 0.8) as f32;
-            fill(canvas, &outline, |_, _| (lit(first), share));
+            // Another part of the picture itself, its colours made saturated: a poster, a screen, a cushion.
+            let from = [rng.uniform(0.0, 1.0) as f32 * (w - 1.0), rng.uniform(0.0, 1.0) as f32 * (h - 1.0)];
+            let (more, tint) = (rng.uniform(1.5, 4.0) as f32, rng.uniform(0.0, 0.5) as f32);
+            let part = canvas.clone();
+            fill(canvas, &outline, |x, y| {
+                let at = |k: usize, v: f32, limit: f32| (from[k] + v - center[k]).rem_euclid(2.0 * limit);
+                let mirror = |v: f32, limit: f32| if v < limit { v } else { 2.0 * limit - v };
+                let (i, j) = (mirror(at(0, x, w - 1.0), w - 1.0), mirror(at(1, y, h - 1.0), h - 1.0));
+                let color = part.at(i as usize, j as usize);
+                let level = color::luminance(color);
+                let vivid = color.map(|v| (level + (v - level) * more).max(0.0));
+                (color::mix(vivid, color::scaled(first, level * 2.0), tint), 1.0)
+            });
         }
     }
 }

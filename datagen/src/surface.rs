@@ -28,11 +28,14 @@ pub enum Surface {
     Board,
     /// A painted wall or a whiteboard.
     Wall,
+    /// The grains of a road or a pavement.
+    Asphalt,
 }
 
 impl Surface {
     /// All of them.
-    pub const ALL: [Self; 8] = [Self::Photo, Self::White, Self::Ruled, Self::Squared, Self::Brown, Self::Card, Self::Board, Self::Wall];
+    pub const ALL: [Self; 9] =
+        [Self::Photo, Self::White, Self::Ruled, Self::Squared, Self::Brown, Self::Card, Self::Board, Self::Wall, Self::Asphalt];
 
     /// The word used in files.
     #[must_use]
@@ -46,7 +49,14 @@ impl Surface {
             Self::Card => "card",
             Self::Board => "board",
             Self::Wall => "wall",
+            Self::Asphalt => "asphalt",
         }
+    }
+
+    /// True for what bends and has an edge of its own; the others are parts of something larger.
+    #[must_use]
+    pub fn is_paper(self) -> bool {
+        matches!(self, Self::White | Self::Ruled | Self::Squared | Self::Brown | Self::Card)
     }
 }
 
@@ -57,11 +67,37 @@ pub struct Sheet {
     pub base: Linear,
     /// Margins around the marker's rectangle, in sides: left, top, right, bottom; `None` where there is no sheet.
     pub margins: Option<[f32; 4]>,
+    /// Width over which the sheet fades into its surroundings, in sides; 0 for paper, whose edge is cut.
+    pub fade: f32,
+    /// The shadow that a sheet casts on what it lies on.
+    pub cast: Option<Cast>,
     rule: Option<Rule>,
     grain: f32,
     spectrum: Spectrum,
     offset: [f32; 2],
 }
+
+/// The shadow around a sheet. Lengths are in sides of the marker.
+#[derive(Debug, Clone, Copy)]
+pub struct Cast {
+    /// Where it falls, from the sheet.
+    pub shift: [f32; 2],
+    /// Half the width of its soft edge.
+    pub soft: f32,
+    /// What part of the light it takes, 0..1.
+    pub depth: f32,
+}
+
+impl Cast {
+    /// How far it reaches beyond the sheet.
+    #[must_use]
+    pub fn reach(&self) -> f32 {
+        self.soft + self.shift[0].abs().max(self.shift[1].abs())
+    }
+}
+
+/// Texels of grain a side of the marker.
+const TEXELS: f32 = 120.0;
 
 #[derive(Debug, Clone)]
 struct Rule {
@@ -85,10 +121,13 @@ impl Sheet {
             Surface::Card => color::from_hsv(rng.uniform(0.0, 360.0), rng.uniform(0.1, 0.5), rng.uniform(0.75, 0.98)),
             Surface::Board => color::from_hsv(rng.uniform(0.0, 360.0), rng.uniform(0.0, 0.4), rng.uniform(0.12, 0.3)),
             Surface::Wall => color::from_hsv(rng.uniform(20.0, 220.0), rng.uniform(0.0, 0.15), rng.uniform(0.7, 0.97)),
+            Surface::Asphalt => color::from_hsv(rng.uniform(20.0, 240.0), rng.uniform(0.0, 0.12), rng.uniform(0.25, 0.6)),
         };
+        // A patch of a wall or a road is larger than a sheet and ends in a stain, not in a cut.
+        let fade = if matches!(surface, Surface::Wall | Surface::Asphalt) { rng.uniform(0.05, 0.4) as f32 } else { 0.0 };
         let margins = (surface != Surface::Photo).then(|| {
             let even = margin.sample(rng);
-            std::array::from_fn(|_| (even * rng.uniform(0.6, 1.6)) as f32)
+            std::array::from_fn(|_| (even * rng.uniform(0.6, 1.6)) as f32 + fade)
         });
         let ruled = matches!(surface, Surface::Ruled | Surface::Squared);
         let period = rng.log_uniform(0.05, 0.3) as f32;
@@ -104,13 +143,30 @@ impl Sheet {
         Self {
             base,
             margins,
+            fade,
             rule: ruled.then_some(rule),
+            // Paper is even but for its fibres; walls and boards have clouds and scratches.
             grain: (match surface {
+                Surface::Photo => 0.0,
+                Surface::White | Surface::Ruled | Surface::Squared | Surface::Card => rng.uniform(0.0, 0.025),
                 Surface::Brown | Surface::Wall => rng.uniform(0.03, 0.08),
                 Surface::Board => rng.uniform(0.03, 0.15),
-                _ => rng.uniform(0.0, 0.04),
+                Surface::Asphalt => rng.uniform(0.2, 0.5),
             }) as f32,
-            spectrum: *rng.choose(&[Spectrum::Soft, Spectrum::Pink, Spectrum::Rough, Spectrum::Grain]),
+            spectrum: match surface {
+                Surface::Wall | Surface::Board => *rng.choose(&[Spectrum::Soft, Spectrum::Pink, Spectrum::Rough]),
+                Surface::Brown => *rng.choose(&[Spectrum::Rough, Spectrum::Grain]),
+                _ => Spectrum::Rough,
+            },
+            cast: (surface.is_paper() && rng.chance(0.75)).then(|| {
+                let (angle, far) = (rng.uniform(0.0, std::f64::consts::TAU), rng.uniform(0.0, 0.025));
+                let soft = (far * rng.uniform(0.5, 1.5) + rng.uniform(0.004, 0.02)) as f32;
+                Cast {
+                    shift: [(far * libm::cos(angle)) as f32, (far * libm::sin(angle)) as f32],
+                    soft,
+                    depth: rng.uniform(0.15, 0.65) as f32,
+                }
+            }),
             offset: [rng.uniform(0.0, 256.0) as f32, rng.uniform(0.0, 256.0) as f32],
         }
     }
@@ -131,7 +187,9 @@ impl Sheet {
             }
             color = color::mix(color, rule.color, ink);
         }
-        let noise = Tile::of(self.spectrum).smooth(x * 120.0 + self.offset[0], y * 120.0 + self.offset[1]);
-        color::scaled(color, 1.0 + self.grain * noise.clamp(-3.0, 3.0))
+        let noise = Tile::of(self.spectrum).smooth(x * TEXELS + self.offset[0], y * TEXELS + self.offset[1]);
+        // A pixel that sees many grains sees their mean.
+        let grain = self.grain / (footprint * TEXELS / 2.0).max(1.0);
+        color::scaled(color, (1.0 + grain * noise.clamp(-3.0, 3.0)).max(0.0))
     }
 }

@@ -1,6 +1,7 @@
 //! Makes a dataset: images in parallel, chunk by chunk, so that memory stays bounded and a killed run loses one chunk at most.
 use crate::{
     background::Backgrounds,
+    card,
     config::Config,
     error::DatagenError,
     manifest::{BackgroundsEntry, Manifest, fingerprint},
@@ -104,6 +105,7 @@ pub fn generate(
     let fingerprint = fingerprint(&config, options.seed, backgrounds);
     let parts = prepare(options, &fingerprint)?;
     let (mut resumed, total) = (0, range.end - range.start);
+    pool.install(|| backgrounds.prepare(&config));
     for chunk in chunks(&range) {
         if stop.load(Ordering::Relaxed) {
             return Err(DatagenError::Stopped);
@@ -246,6 +248,8 @@ fn finish(
     }
     let path = options.out.join("dataset.toml");
     let text = toml::to_string(&manifest).map_err(|e| DatasetError::line(&path, 0, e))?;
+    card::write(&manifest, &options.out)?;
+    // Last, because a folder with it is a whole dataset.
     files::write_atomically(path, text)?;
     fs::remove_dir_all(parts).map_err(|e| DatagenError::io(parts, e))?;
     Ok(manifest)

@@ -1,5 +1,8 @@
 //! Looks for everything that can be wrong with a dataset, and reports all of it, not the first.
-use crate::{Dataset, DatasetError, Marker, Record, Split, files};
+use crate::{
+    Dataset, DatasetError, Marker, Record, Split, files,
+    similar::{self, Look},
+};
 use rayon::prelude::*;
 use std::{collections::BTreeMap, fmt};
 
@@ -20,7 +23,7 @@ pub enum Fault {
     Geometry,
     /// The same picture twice.
     Duplicate,
-    /// The same picture, or the same photo behind it, in two splits.
+    /// The same picture, nearly the same picture, or the same photo behind it, in two splits.
     Leak,
 }
 
@@ -78,18 +81,20 @@ pub fn check(dir: impl AsRef<std::path::Path>) -> Result<CheckReport, DatasetErr
     let mut report = CheckReport::default();
     let mut pictures: BTreeMap<String, (Split, String)> = BTreeMap::new();
     let mut photos: BTreeMap<String, Split> = BTreeMap::new();
+    let mut seen: Vec<(Split, String, Look)> = Vec::new();
     for split in dataset.splits() {
         let (records, mut problems) = lines(&dataset, split)?;
-        let looked: Vec<(Option<String>, Vec<Problem>)> = records.par_iter().map(|r| look(&dataset, r)).collect();
-        for (record, (digest, found)) in records.iter().zip(looked) {
+        let looked: Vec<(Option<(String, Look)>, Vec<Problem>)> = records.par_iter().map(|r| look(&dataset, r)).collect();
+        for (record, (picture, found)) in records.iter().zip(looked) {
             problems.extend(found);
             let mut say = |fault, found: String| problems.push(Problem { fault, place: record.image.clone(), found });
-            if let Some(digest) = digest {
+            if let Some((digest, look)) = picture {
                 if let Some((other, image)) = pictures.get(&digest) {
                     let fault = if *other == split { Fault::Duplicate } else { Fault::Leak };
                     say(fault, format!("the same bytes as {image}"));
                 } else {
                     pictures.insert(digest, (split, record.image.clone()));
+                    seen.push((split, record.image.clone(), look));
                 }
             }
             if let Some(photo) = record.photo() {
@@ -104,6 +109,11 @@ pub fn check(dir: impl AsRef<std::path::Path>) -> Result<CheckReport, DatasetErr
         }
         report.images.insert(split, records.len());
         report.problems.extend(problems);
+    }
+    let looks: Vec<Look> = seen.iter().map(|s| s.2.clone()).collect();
+    for (a, b) in similar::pairs(&looks).into_iter().filter(|(a, b)| seen[*a].0 != seen[*b].0) {
+        let found = format!("nearly the same picture as {}", seen[a].1);
+        report.problems.push(Problem { fault: Fault::Leak, place: seen[b].1.clone(), found });
     }
     Ok(report)
 }
@@ -120,18 +130,18 @@ fn lines(dataset: &Dataset, split: Split) -> Result<(Vec<Record>, Vec<Problem>),
     Ok((records, problems))
 }
 
-/// The digest of a record's picture, and what is wrong with both.
-fn look(dataset: &Dataset, record: &Record) -> (Option<String>, Vec<Problem>) {
+/// The digest and the look of a record's picture, and what is wrong with both.
+fn look(dataset: &Dataset, record: &Record) -> (Option<(String, Look)>, Vec<Problem>) {
     let mut problems = Vec::new();
     let mut say = |fault, found: String| problems.push(Problem { fault, place: record.image.clone(), found });
     let path = dataset.image_path(record);
-    let digest =
+    let picture =
         match std::fs::read(&path).map_err(image::ImageError::IoError).and_then(|bytes| Ok((image::load_from_memory(&bytes)?, bytes))) {
             Ok((image, bytes)) => {
                 if (image.width(), image.height()) != (record.width, record.height) {
                     say(Fault::Size, format!("{}x{}, the record says {}x{}", image.width(), image.height(), record.width, record.height));
                 }
-                Some(files::digest_bytes(bytes))
+                Some((files::digest_bytes(bytes), Look::of(&image.into_rgb8())))
             }
             Err(e) => {
                 say(Fault::Unreadable, e.to_string());
@@ -143,7 +153,7 @@ fn look(dataset: &Dataset, record: &Record) -> (Option<String>, Vec<Problem>) {
             say(fault, format!("marker {k}: {found}"));
         }
     }
-    (digest, problems)
+    (picture, problems)
 }
 
 fn marker_faults(dataset: &Dataset, record: &Record, marker: &Marker) -> Vec<(Fault, String)> {

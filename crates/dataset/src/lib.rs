@@ -24,6 +24,7 @@ pub mod preview;
 pub mod record;
 pub mod resplit;
 pub mod rng;
+pub mod similar;
 pub mod split;
 pub mod stats;
 

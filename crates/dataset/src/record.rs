@@ -88,6 +88,19 @@ pub struct Marker {
     /// Fraction of the marker's area hidden by an occluder, 0..1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub occlusion: Option<f64>,
+    /// How it was put into the picture.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub blend: Option<String>,
+    /// Curvature of its sheet in sides over radius, and the direction in which it bends in the marker's plane, in degrees.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bend: Option<[f64; 2]>,
+    /// Reflected light on it: its place `x, y` and its radius in sides from the middle, and its strength.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub glare: Option<[f64; 4]>,
+    /// How the hand drew it, by name: `aspect` (width over height), `wobble` (thousandths of the side), `corner_error`, `end_error`,
+    /// `line_width` (sides), `hatched` (0 or 1).
+    #[serde(default, skip_serializing_if = "serde_json::Map::is_empty")]
+    pub hand: serde_json::Map<String, serde_json::Value>,
     /// Rotation of the marker in the camera's frame, row-major.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rotation: Option<[f64; 9]>,
@@ -124,6 +137,10 @@ impl Marker {
             line: None,
             thickness: None,
             occlusion: None,
+            blend: None,
+            bend: None,
+            glare: None,
+            hand: serde_json::Map::new(),
             rotation: None,
             translation: None,
             mask: None,

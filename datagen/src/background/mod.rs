@@ -1,5 +1,10 @@
 //! What stands behind the markers: crops of photos, or embedded scenes that need no file.
-use crate::{canvas::Canvas, config::Config, error::DatagenError};
+use crate::{
+    canvas::Canvas,
+    config::Config,
+    error::DatagenError,
+    hand::video::{BEYOND, Moment},
+};
 use image::RgbImage;
 use serde_json::{Map, Value};
 use std::path::Path;
@@ -8,7 +13,7 @@ use tcross_dataset::Rng;
 pub mod embedded;
 pub mod photos;
 
-use photos::Photos;
+use photos::{Cut, Photos};
 
 /// Where backgrounds come from.
 #[derive(Debug)]
@@ -16,7 +21,7 @@ pub enum Backgrounds {
     /// Scenes drawn by the program.
     Embedded,
     /// Photos of a folder.
-    Photos(Photos),
+    Photos(Box<Photos>),
 }
 
 /// One background, cut to the size of an image.
@@ -67,7 +72,7 @@ impl Backgrounds {
     /// # Errors
     /// If the folder cannot be read or holds fewer than three usable photos.
     pub fn open(dir: impl AsRef<Path>) -> Result<Self, DatagenError> {
-        Photos::open(dir.as_ref()).map(Self::Photos)
+        Photos::open(dir.as_ref()).map(|photos| Self::Photos(Box::new(photos)))
     }
 
     /// `embedded` or `photos`.
@@ -106,6 +111,22 @@ impl Backgrounds {
         }
     }
 
+    /// Does on all threads what the first background of a dataset would do on one.
+    pub fn prepare(&self, config: &Config) {
+        if let Self::Photos(photos) = self {
+            photos.look_at_all(config);
+        }
+    }
+
+    /// Groups of photos that show nearly the same and therefore stand in one split.
+    #[must_use]
+    pub fn near_duplicates(&self) -> Vec<Vec<String>> {
+        match self {
+            Self::Embedded => Vec::new(),
+            Self::Photos(photos) => photos.near_duplicates(),
+        }
+    }
+
     /// The background of image `index`.
     ///
     /// # Errors
@@ -117,10 +138,30 @@ impl Backgrounds {
                 Ok(Backdrop { name, effects: Map::new(), picture: Picture::Light(canvas) })
             }
             Self::Photos(photos) => {
-                let (name, crop, image) = photos.cut(config, seed, index)?;
+                let Cut { name, crop, mirrored, image } = photos.cut(config, seed, index)?;
                 let mut effects = Map::new();
                 effects.insert("crop".into(), serde_json::json!(crop));
+                effects.insert("mirrored".into(), mirrored.into());
                 Ok(Backdrop { name, effects, picture: Picture::Stored(image) })
+            }
+        }
+    }
+
+    /// What lies around the frame of a video: a whole photo, or a scene larger than the frame.
+    ///
+    /// # Errors
+    /// If every photo of the video's split is unreadable.
+    pub fn panorama(&self, config: &Config, seed: u64, moment: &Moment) -> Result<Backdrop, DatagenError> {
+        let size = [config.width, config.height].map(|v| (f64::from(v) * BEYOND) as u32);
+        match self {
+            Self::Embedded => {
+                let larger = Config { width: size[0], height: size[1], ..config.clone() };
+                let (name, canvas) = embedded::paint(&larger, &mut Rng::for_item(seed, "datagen/panorama", moment.sequence));
+                Ok(Backdrop { name, effects: Map::new(), picture: Picture::Light(canvas) })
+            }
+            Self::Photos(photos) => {
+                let (name, photo) = photos.panorama(config, seed, moment.sequence, size)?;
+                Ok(Backdrop { name, effects: Map::new(), picture: Picture::Stored(photo) })
             }
         }
     }

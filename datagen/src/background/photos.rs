@@ -1,15 +1,18 @@
 //! Photos of a folder, dealt to the splits so that no photo stands in two, and cut to the size of an image.
 use crate::{config::Config, error::DatagenError};
-use fast_image_resize::{FilterType, ResizeAlg, ResizeOptions, Resizer};
+use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer, images::ImageRef};
 use image::{DynamicImage, ImageDecoder, ImageReader, RgbImage};
 use rayon::prelude::*;
 use std::{
     collections::{BTreeMap, BTreeSet},
     fs,
     path::{Path, PathBuf},
-    sync::{Arc, Mutex, PoisonError},
+    sync::{Arc, Mutex, OnceLock, PoisonError},
 };
-use tcross_dataset::{Rng, Split};
+use tcross_dataset::{
+    Rng, Split,
+    similar::{self, Look},
+};
 
 /// Decoded photos are kept in memory up to this many bytes, so that several crops of one photo decode it once.
 const CACHE_BYTES: usize = 768 << 20;
@@ -18,19 +21,34 @@ const CACHE_BYTES: usize = 768 << 20;
 const KEPT_SCALE: u32 = 4;
 
 /// The usable photos of a folder.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Photos {
     dir: PathBuf,
     names: Vec<String>,
     digest: String,
     unreadable: Mutex<BTreeSet<String>>,
     cache: Mutex<Cache>,
+    groups: OnceLock<Vec<usize>>,
+    dealt: Mutex<Option<((u64, bool), Arc<[Vec<usize>; 3]>)>>,
 }
 
 #[derive(Debug, Default)]
 struct Cache {
     photos: BTreeMap<usize, Arc<RgbImage>>,
     bytes: usize,
+}
+
+/// A part of a photo.
+#[derive(Debug)]
+pub struct Cut {
+    /// The photo.
+    pub name: String,
+    /// `[x, y, width, height]` in its pixels (of the reduced copy where it is huge).
+    pub crop: [f64; 4],
+    /// Whether it was mirrored afterwards.
+    pub mirrored: bool,
+    /// The picture.
+    pub image: RgbImage,
 }
 
 impl Photos {
@@ -58,7 +76,7 @@ impl Photos {
             return Err(DatagenError::NoPhotos { dir: dir.to_owned(), found: names.len(), skipped: unreadable.len(), needed: 3 });
         }
         let digest = hasher.finalize().to_hex().to_string();
-        Ok(Self { dir: dir.to_owned(), names, digest, unreadable: Mutex::new(unreadable), cache: Mutex::default() })
+        Ok(Self { dir: dir.to_owned(), names, digest, unreadable: Mutex::new(unreadable), ..Self::default() })
     }
 
     /// Number of photos whose header could be read.
@@ -79,42 +97,109 @@ impl Photos {
         self.unreadable.lock().unwrap_or_else(PoisonError::into_inner).iter().cloned().collect()
     }
 
-    /// The photos of a split: shuffled by the seed, then dealt by place mod 10 like the images themselves. With fewer than ten photos the
-    /// last ones go to validation and test, so that no split is empty.
+    /// Groups of photos that show nearly the same, each with more than one; known once the photos were looked at.
     #[must_use]
-    pub fn of_split(&self, seed: u64, split: Split) -> Vec<usize> {
-        let mut order: Vec<usize> = (0..self.names.len()).collect();
-        Rng::for_item(seed, "datagen/photos", 0).shuffle(&mut order);
-        let n = order.len();
-        let of = |place: usize| {
-            if n < 10 { [Split::Test, Split::Val].get(n - 1 - place).copied().unwrap_or(Split::Train) } else { Split::of(place) }
-        };
-        order.into_iter().enumerate().filter(|(place, _)| of(*place) == split).map(|(_, photo)| photo).collect()
+    pub fn near_duplicates(&self) -> Vec<Vec<String>> {
+        let mut groups: BTreeMap<usize, Vec<String>> = BTreeMap::new();
+        for (photo, first) in self.groups.get().into_iter().flatten().enumerate() {
+            groups.entry(*first).or_default().push(self.names[photo].clone());
+        }
+        groups.into_values().filter(|g| g.len() > 1).collect()
     }
 
-    /// The crop for image `index`: the photo's name, `[x, y, width, height]` in its pixels, and the picture. A photo that cannot be decoded
+    /// Looks at every photo once, on all threads of the current pool, to find those that show nearly the same. Without it the first
+    /// [`Photos::cut`] does the same on one thread.
+    pub fn look_at_all(&self, config: &Config) {
+        if config.background.near_duplicates_together && self.groups.get().is_none() {
+            let looks: Vec<Option<Look>> = (0..self.names.len()).into_par_iter().map(|photo| self.look(photo, size(config))).collect();
+            // Another thread may have been faster: it found the same.
+            let _ = self.groups.set(grouped(&looks));
+        }
+    }
+
+    fn look(&self, photo: usize, target: (u32, u32)) -> Option<Look> {
+        self.load(photo, target, Some(Look::of)).map(|found| found.1)?
+    }
+
+    /// The photos of train, val and test: groups of near-duplicates are shuffled by the seed and their photos dealt by place mod 10 like the
+    /// images themselves, each group to the split of its first. Where that leaves a split empty, the last groups go to validation and test.
+    fn dealt(&self, config: &Config, seed: u64) -> Arc<[Vec<usize>; 3]> {
+        let mut dealt = self.dealt.lock().unwrap_or_else(PoisonError::into_inner);
+        let key = (seed, config.background.near_duplicates_together);
+        if let Some((_, splits)) = dealt.as_ref().filter(|d| d.0 == key) {
+            return Arc::clone(splits);
+        }
+        let alone: Vec<usize> = (0..self.names.len()).collect();
+        let first = if key.1 {
+            self.groups.get_or_init(|| grouped(&alone.iter().map(|photo| self.look(*photo, size(config))).collect::<Vec<_>>()))
+        } else {
+            &alone
+        };
+        let mut groups: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+        first.iter().enumerate().for_each(|(photo, first)| groups.entry(*first).or_default().push(photo));
+        // With fewer than three different photos there is no way to keep them apart.
+        let mut groups: Vec<Vec<usize>> =
+            if groups.len() < 3 { alone.iter().map(|photo| vec![*photo]).collect() } else { groups.into_values().collect() };
+        Rng::for_item(seed, "datagen/photos", 0).shuffle(&mut groups);
+        let splits = Arc::new(deal(&groups));
+        *dealt = Some((key, Arc::clone(&splits)));
+        splits
+    }
+
+    /// The crop for image `index`. A photo that cannot be decoded
     /// gives its place to the next one of its split.
     ///
     /// # Errors
     /// If no photo of the split can be decoded.
-    pub fn cut(&self, config: &Config, seed: u64, index: u64) -> Result<(String, [f64; 4], RgbImage), DatagenError> {
-        let photos = self.of_split(seed, Split::of(index as usize));
+    pub fn cut(&self, config: &Config, seed: u64, index: u64) -> Result<Cut, DatagenError> {
         let (tens, place) = ((index / 10) as usize, (index % 10) as usize);
-        let rank = match Split::of(place) {
+        let split = Split::of(place);
+        let rank = match split {
             Split::Train => tens * 7 + place,
             Split::Val => tens * 2 + place - 7,
             Split::Test => tens,
         };
-        let target = (config.width, config.height);
+        let (name, photo) = self.whole(config, seed, split, rank)?;
+        let mut rng = Rng::for_item(seed, "datagen/crop", index);
+        let (crop, mut image) = crop(&photo, size(config), config.background.crop.sample(&mut rng), &mut rng);
+        let mirrored = rng.chance(config.background.mirrored);
+        if mirrored {
+            image::imageops::flip_horizontal_in_place(&mut image);
+        }
+        Ok(Cut { name, crop, mirrored, image })
+    }
+
+    /// The whole photo behind video `sequence`, no larger than `width` by `height` asks for.
+    ///
+    /// # Errors
+    /// If no photo of the video's split can be decoded.
+    pub fn panorama(
+        &self,
+        config: &Config,
+        seed: u64,
+        sequence: u64,
+        [width, height]: [u32; 2],
+    ) -> Result<(String, RgbImage), DatagenError> {
+        // The split of the video's first image.
+        let first = (u128::from(sequence) * u128::from(config.images)).div_ceil(u128::from(config.video.sequences.max(1))) as u64;
+        let (name, photo) = self.whole(config, seed, config.split_of(first), sequence as usize)?;
+        let shrink = (f64::from(width) / f64::from(photo.width())).max(f64::from(height) / f64::from(photo.height()));
+        if shrink >= 1.0 {
+            return Ok((name, photo.as_ref().clone()));
+        }
+        let size = |v: u32| ((f64::from(v) * shrink).round() as u32).max(1);
+        let whole = [0.0, 0.0, f64::from(photo.width()), f64::from(photo.height())];
+        Ok((name, resized(&photo, whole, size(photo.width()), size(photo.height()))))
+    }
+
+    /// A whole photo of a split by its place there; one that cannot be decoded gives its place to the next.
+    fn whole(&self, config: &Config, seed: u64, split: Split, rank: usize) -> Result<(String, Arc<RgbImage>), DatagenError> {
+        let dealt = self.dealt(config, seed);
+        let photos = &dealt[split as usize];
         for step in 0..photos.len() {
             let photo = photos[(rank + step) % photos.len()];
-            if let Some(decoded) = self.decoded(photo, target) {
-                let mut rng = Rng::for_item(seed, "datagen/crop", index);
-                let (crop, mut image) = crop(&decoded, target, config.background.crop.sample(&mut rng), &mut rng);
-                if rng.chance(config.background.mirrored) {
-                    image::imageops::flip_horizontal_in_place(&mut image);
-                }
-                return Ok((self.names[photo].clone(), crop, image));
+            if let Some(decoded) = self.decoded(photo, size(config)) {
+                return Ok((self.names[photo].clone(), decoded));
             }
         }
         let skipped = self.skipped().len();
@@ -122,22 +207,56 @@ impl Photos {
     }
 
     fn decoded(&self, photo: usize, target: (u32, u32)) -> Option<Arc<RgbImage>> {
-        let lock = |m| Mutex::lock(m).unwrap_or_else(PoisonError::into_inner);
-        if let Some(kept) = lock(&self.cache).photos.get(&photo) {
-            return Some(Arc::clone(kept));
-        }
+        let kept = self.cache.lock().unwrap_or_else(PoisonError::into_inner).photos.get(&photo).map(Arc::clone);
+        kept.or_else(|| self.load(photo, target, None).map(|found| found.0))
+    }
+
+    /// Decodes a photo, looks at it, and keeps it no larger than `target` asks for while there is room.
+    fn load(&self, photo: usize, target: (u32, u32), look: Option<fn(&RgbImage) -> Look>) -> Option<(Arc<RgbImage>, Option<Look>)> {
         let Some(image) = decode(&self.dir.join(&self.names[photo])) else {
             self.unreadable.lock().unwrap_or_else(PoisonError::into_inner).insert(self.names[photo].clone());
             return None;
         };
+        let look = look.map(|look| look(&image));
         let image = Arc::new(reduced(image, target));
-        let mut cache = lock(&self.cache);
+        let mut cache = self.cache.lock().unwrap_or_else(PoisonError::into_inner);
         if cache.bytes + image.as_raw().len() <= CACHE_BYTES && !cache.photos.contains_key(&photo) {
             cache.bytes += image.as_raw().len();
             cache.photos.insert(photo, Arc::clone(&image));
         }
-        Some(image)
+        Some((image, look))
     }
+}
+
+/// What is asked for is one size a dataset.
+fn size(config: &Config) -> (u32, u32) {
+    (config.width, config.height)
+}
+
+/// For each photo the first of its group; one that cannot be decoded stands alone.
+fn grouped(looks: &[Option<Look>]) -> Vec<usize> {
+    let (places, known): (Vec<usize>, Vec<Look>) = looks.iter().enumerate().filter_map(|(k, l)| Some((k, l.clone()?))).unzip();
+    let mut first: Vec<usize> = (0..looks.len()).collect();
+    similar::groups(&known).into_iter().enumerate().for_each(|(k, group)| first[places[k]] = places[group]);
+    first
+}
+
+/// Deals groups to train, val and test.
+fn deal(groups: &[Vec<usize>]) -> [Vec<usize>; 3] {
+    let mut splits: [Vec<usize>; 3] = Default::default();
+    let mut place = 0;
+    for group in groups {
+        splits[Split::of(place) as usize].extend(group);
+        place += group.len();
+    }
+    if splits.iter().any(Vec::is_empty) {
+        splits = Default::default();
+        for (k, group) in groups.iter().enumerate() {
+            let split = [Split::Test, Split::Val].get(groups.len() - 1 - k).copied().unwrap_or(Split::Train);
+            splits[split as usize].extend(group);
+        }
+    }
+    splits
 }
 
 fn list(root: &Path, dir: &Path, files: &mut Vec<String>) -> Result<(), DatagenError> {
@@ -198,12 +317,10 @@ fn crop(photo: &RgbImage, (width, height): (u32, u32), fraction: f64, rng: &mut 
 fn resized(photo: &RgbImage, [x, y, w, h]: [f64; 4], width: u32, height: u32) -> RgbImage {
     let filter = if w > f64::from(width) { FilterType::Box } else { FilterType::Bilinear };
     let options = ResizeOptions::new().crop(x, y, w, h).resize_alg(ResizeAlg::Convolution(filter));
-    let mut out = RgbImage::new(width, height);
-    let source = DynamicImage::ImageRgb8(photo.clone());
-    let mut target = DynamicImage::ImageRgb8(out);
+    let mut target = DynamicImage::ImageRgb8(RgbImage::new(width, height));
     // Both pictures are RGB of 8 bits and the crop lies inside, which is all that can be refused.
-    let done = Resizer::new().resize(&source, &mut target, Some(&options));
-    debug_assert!(done.is_ok(), "{done:?}");
-    out = target.into_rgb8();
-    out
+    let source = ImageRef::new(photo.width(), photo.height(), photo.as_raw(), PixelType::U8x3);
+    let done = source.map(|source| Resizer::new().resize(&source, &mut target, Some(&options)));
+    debug_assert!(matches!(done, Ok(Ok(()))), "{done:?}");
+    target.into_rgb8()
 }

@@ -18,6 +18,23 @@ pub struct Drawing {
     pub corners: [[f64; 2]; 4],
     /// Where the lines meet.
     pub center: [f64; 2],
+    /// How the hand drew.
+    pub habits: Habits,
+}
+
+/// What was drawn from the config for one drawing, in its units.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Habits {
+    /// How much strokes wander, in thousandths of the side.
+    pub wobble: f64,
+    /// How far corners stand from a rectangle's, in sides, for a hand that is as free as a pen.
+    pub corner_error: f64,
+    /// How far lines start and end from where they should, in sides.
+    pub end_error: f64,
+    /// Width of the lines in sides.
+    pub line_width: f64,
+    /// Whether the fill is hatched.
+    pub hatched: bool,
 }
 
 /// What is to be drawn.
@@ -51,7 +68,8 @@ impl Plan<'_> {
     #[must_use]
     pub fn draw(&self, config: &HandConfig, mut rng: Rng) -> Drawing {
         let steady = self.fill.hand.max(self.line.hand).min(1.0);
-        let corner_error = config.corner_error.sample(&mut rng) * steady;
+        let mut habits = Habits { corner_error: config.corner_error.sample(&mut rng), ..Default::default() };
+        let corner_error = habits.corner_error * steady;
         let [w, h] = self.half;
         let corners = SQUARE.iter().map(|p| {
             let mut off = || (rng.normal() * corner_error * 0.5).clamp(-0.08, 0.08);
@@ -62,22 +80,24 @@ impl Plan<'_> {
         let straight = Homography([2.0 * w, 0.0, -w, 0.0, 2.0 * h, -h, 0.0, 0.0, 1.0]);
         let plane_from_unit = Homography::from_unit_square(&corners).unwrap_or(straight);
         let geometry = self.shape.geometry();
-        let wobble = config.wobble.sample(&mut rng) / 1000.0;
-        let end_error = config.end_error.sample(&mut rng);
-        let mut hand = Hand { config, wobble, end_error, rng };
+        habits.wobble = config.wobble.sample(&mut rng);
+        habits.end_error = config.end_error.sample(&mut rng);
+        let mut hand = Hand { config, wobble: habits.wobble / 1000.0, end_error: habits.end_error, rng };
         let reach = [(w + MARGIN) as f32, (h + MARGIN) as f32];
         let (mut fill, mut lines) = (Ink::bare(reach, self.scale), Ink::bare(reach, self.scale));
         if geometry.filled {
-            self.lay_fill(&mut fill, &geometry, &plane_from_unit, &mut hand);
+            habits.hatched = self.lay_fill(&mut fill, &geometry, &plane_from_unit, &mut hand);
         }
-        let center = self.lay_lines(&mut lines, &geometry, &plane_from_unit, &mut hand);
+        let center;
+        (center, habits.line_width) = self.lay_lines(&mut lines, &geometry, &plane_from_unit, &mut hand);
         let mut offset = || [hand.rng.uniform(0.0, 256.0) as f32, hand.rng.uniform(0.0, 256.0) as f32];
         fill.weather(self.fill, offset());
         lines.weather(self.line, offset());
-        Drawing { fill, lines, corners, center }
+        Drawing { fill, lines, corners, center, habits }
     }
 
-    fn lay_fill(&self, ink: &mut Ink, geometry: &Geometry, map: &Homography, hand: &mut Hand) {
+    /// Lays the fill and says whether it is hatched.
+    fn lay_fill(&self, ink: &mut Ink, geometry: &Geometry, map: &Homography, hand: &mut Hand) -> bool {
         let outline: Vec<[f64; 2]> = geometry.outline.iter().map(|p| map.apply(*p)).collect();
         let nature = self.fill;
         let hatched = hand.rng.chance(hand.config.hatched) && nature.hand > 0.0;
@@ -144,12 +164,14 @@ impl Plan<'_> {
                 ink.stroke(&touches, nature, offset);
             }
         }
+        hatched
     }
 
-    /// Lays the lines and returns where they meet.
-    fn lay_lines(&self, ink: &mut Ink, geometry: &Geometry, map: &Homography, hand: &mut Hand) -> [f64; 2] {
+    /// Lays the lines and returns where they meet and how wide they are.
+    fn lay_lines(&self, ink: &mut Ink, geometry: &Geometry, map: &Homography, hand: &mut Hand) -> ([f64; 2], f64) {
         let nature = self.line;
-        let radius = hand.config.line_width.sample(&mut hand.rng) * 0.5;
+        let width = hand.config.line_width.sample(&mut hand.rng);
+        let radius = width * 0.5;
         let offset = [hand.rng.uniform(0.0, 256.0) as f32, hand.rng.uniform(0.0, 256.0) as f32];
         let meeting = map.apply([0.5, 0.5]);
         let mut axes: Vec<Vec<Touch>> = Vec::new();
@@ -180,7 +202,8 @@ impl Plan<'_> {
             }
             axes.push(touches);
         }
-        if self.shape == Shape::TCross { crossing(&axes[0], &axes[1]).unwrap_or(meeting) } else { meeting }
+        let center = if self.shape == Shape::TCross { crossing(&axes[0], &axes[1]).unwrap_or(meeting) } else { meeting };
+        (center, width)
     }
 }
 
@@ -200,7 +223,7 @@ impl Hand<'_> {
         let strength = (1.0 + uneven * rng.normal() * 0.5).clamp(0.6, 1.4);
         let gap = (rng.chance(self.config.gaps) && nature.hand > 0.0).then(|| (rng.uniform(0.2, 0.8), rng.uniform(0.01, 0.06)));
         // Segments about as long as the nib is wide: shorter ones would not show.
-        let steps = ((length / (0.5 * radius + 0.015)).ceil() as usize).clamp(2, 64);
+        let steps = ((length / (0.7 * radius + 0.012)).ceil() as usize).clamp(2, 64);
         (0..=steps)
             .map(|k| {
                 let t = k as f64 / steps as f64;

@@ -84,7 +84,9 @@ impl Film {
             let half = layers.half.map(|v| v as f32);
             [-half[0] - m[0], -half[1] - m[1], half[0] + m[2], half[1] + m[3]]
         });
+        let reach = layers.sheet.cast.map_or(0.0, |c| f64::from(c.reach()));
         let extent = sheet.map_or([-drawn[0], -drawn[1], drawn[0], drawn[1]], |s| s.map(f64::from));
+        let extent = [extent[0] - reach, extent[1] - reach, extent[2] + reach, extent[3] + reach];
         let (x, y) = bounds(view, extent, size, pad)?;
         let (width, height) = (x.len(), y.len());
         let mut film = Self {
@@ -163,9 +165,19 @@ impl Film {
             for x in x0..(x0 + CELL).min(width) {
                 let (u, v) = ((x - x0) as f32 * one, (y - y0) as f32 * one);
                 let middle = at(u + one / 2.0, v + one / 2.0);
-                let paper = sheet.map_or(0.0, |[left, top, right, bottom]| {
-                    let inside = (middle[0] - left).min(right - middle[0]).min(middle[1] - top).min(bottom - middle[1]);
+                let into = |p: [f32; 2]| {
+                    sheet.map_or(-1.0, |[left, top, right, bottom]| (p[0] - left).min(right - p[0]).min(p[1] - top).min(bottom - p[1]))
+                };
+                let inside = into(middle);
+                let paper = if layers.sheet.fade > 0.0 {
+                    let t = (inside / layers.sheet.fade).clamp(0.0, 1.0);
+                    t * t * (3.0 - 2.0 * t)
+                } else {
                     (inside / footprint + 0.5).clamp(0.0, 1.0)
+                };
+                let shadow = layers.sheet.cast.filter(|_| paper < 1.0).map_or(0.0, |cast| {
+                    let under = into([middle[0] - cast.shift[0], middle[1] - cast.shift[1]]);
+                    cast.depth * (0.5 + under / (2.0 * cast.soft.max(footprint))).clamp(0.0, 1.0)
                 });
                 let (mut fill, mut line) = (0.0, 0.0);
                 let ink = &layers.drawing.fill;
@@ -182,7 +194,7 @@ impl Film {
                     fill *= weight;
                     line *= weight;
                 }
-                if paper <= 0.0 && fill <= 0.0 && line <= 0.0 {
+                if paper <= 0.0 && fill <= 0.0 && line <= 0.0 && shadow <= 0.0 {
                     continue;
                 }
                 let (fill_through, fill_own) = layers.fill.at(fill);
@@ -200,7 +212,7 @@ impl Film {
                     let through = (1.0 - paper) * fill_through[channel] * line_through[channel];
                     let own =
                         (paper * base[channel] * fill_through[channel] + fill_own[channel]) * line_through[channel] + line_own[channel];
-                    self.planes[channel][k] = through;
+                    self.planes[channel][k] = through * (1.0 - shadow);
                     self.planes[3 + channel][k] = own * lit[channel];
                     hidden += (1.0 - through) / 3.0;
                 }

@@ -28,7 +28,12 @@ pub struct Ink {
     pub origin: [f32; 2],
     /// Row-major.
     pub density: Vec<f32>,
+    /// For each block of cells, whether there is ink in it or beside it: most of a sheet is bare and is asked for often.
+    inked: Vec<bool>,
 }
+
+/// Side of a block in cells.
+const BLOCK: usize = 8;
 
 impl Ink {
     /// A bare grid that reaches over `half` sides to both ways of the middle.
@@ -37,7 +42,8 @@ impl Ink {
         let cells = |half: f32| (half * 2.0 * scale).ceil() as usize + 2;
         let (width, height) = (cells(half[0]), cells(half[1]));
         let origin = [-(width as f32) / scale / 2.0, -(height as f32) / scale / 2.0];
-        Self { width, height, scale, origin, density: vec![0.0; width * height] }
+        let inked = vec![false; width.div_ceil(BLOCK) * height.div_ceil(BLOCK)];
+        Self { width, height, scale, origin, density: vec![0.0; width * height], inked }
     }
 
     /// The cell coordinates of a place of the sheet.
@@ -75,6 +81,9 @@ impl Ink {
             };
             let ((i0, i1), (j0, j1)) = (span(a[0].min(b[0]), a[0].max(b[0]), x0, w), span(a[1].min(b[1]), a[1].max(b[1]), y0, h));
             let inverse = 1.0 / length2;
+            if i0 < i1 && j0 < j1 {
+                self.mark((x0 + i0, x0 + i1), (y0 + j0, y0 + j1));
+            }
             for j in j0..j1 {
                 let py = (y0 + j) as f32 + 0.5 - a[1];
                 for i in i0..i1 {
@@ -129,6 +138,20 @@ impl Ink {
         for (ink, laid) in self.density.iter_mut().zip(&canvas.planes[0]) {
             *ink += laid;
         }
+        let span = |k: usize| {
+            let lo = cells.iter().map(|c| c[k]).fold(f32::INFINITY, f32::min).max(0.0);
+            (lo as usize, cells.iter().map(|c| c[k]).fold(0.0, f32::max).ceil() as usize)
+        };
+        self.mark(span(0), span(1));
+    }
+
+    /// Notes that cells of a rectangle (ends out) may hold ink now.
+    fn mark(&mut self, (x0, x1): (usize, usize), (y0, y1): (usize, usize)) {
+        let columns = self.width.div_ceil(BLOCK);
+        let blocks = |from: usize, to: usize, cells: usize| from.saturating_sub(1) / BLOCK..(to.min(cells - 1) / BLOCK + 1);
+        for j in blocks(y0, y1, self.height) {
+            self.inked[j * columns..][blocks(x0, x1, self.width)].fill(true);
+        }
     }
 
     /// Leaves the surface's grain bare and makes the colour uneven, as the medium does.
@@ -160,6 +183,9 @@ impl Ink {
             return 0.0;
         }
         let (i, j) = (x as usize, y as usize);
+        if !self.inked[j / BLOCK * self.width.div_ceil(BLOCK) + i / BLOCK] {
+            return 0.0;
+        }
         let (u, v) = (x - i as f32, y - j as f32);
         let row = &self.density[j * self.width + i..];
         let (a, b, c, d) = (row[0], row[1], row[self.width], row[self.width + 1]);
@@ -184,6 +210,23 @@ mod tests {
         assert!((sum / want - 1.0).abs() < 0.01, "{sum} {want}");
         let mean_y: f32 = ink.density.iter().enumerate().map(|(k, d)| ((k / ink.width) as f32 + 0.5) * d).sum::<f32>() / sum;
         assert!((mean_y / 200.0 + ink.origin[1] - 0.013).abs() < 1e-4);
+    }
+
+    #[test]
+    fn every_inked_cell_is_seen() {
+        let mut ink = Ink::bare([0.5, 0.4], 77.0);
+        let touch = |x: f32, y: f32| Touch { at: [x, y], radius: 0.03, flow: 1.0 };
+        ink.stroke(&[touch(-0.45, -0.3), touch(0.1, 0.05), touch(0.48, 0.38)], &Medium::FeltTip.nature(), [3.0, 5.0]);
+        ink.flood(&[[-0.3, 0.1], [-0.1, 0.1], [-0.2, 0.3]], 1.0);
+        for y in 1..ink.height - 1 {
+            for x in 1..ink.width - 1 {
+                let seen = ink.at(x as f32 + 0.5, y as f32 + 0.5);
+                assert!((seen - ink.density[y * ink.width + x]).abs() < 1e-6, "{x} {y}");
+                let between = ink.at(x as f32 + 1.0, y as f32 + 1.0);
+                let four = [0, 1, ink.width, ink.width + 1].map(|k| ink.density[y * ink.width + x + k]).iter().sum::<f32>() / 4.0;
+                assert!((between - four).abs() < 1e-5, "{x} {y}");
+            }
+        }
     }
 
     #[test]

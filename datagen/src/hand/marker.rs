@@ -1,11 +1,12 @@
 //! One marker's choices: shape, size, stance, colours, medium, surface; each from its own stream.
 use super::{
-    drawing::{Drawing, Plan},
+    drawing::{Drawing, Habits, Plan},
     film::{Layers, Tint, opacity_on},
     pick,
     view::{Camera, Stance, View, place},
 };
 use crate::{
+    blend::Blend,
     canvas::Canvas,
     color::{self, Linear},
     config::{Config, HandConfig},
@@ -26,6 +27,7 @@ pub(super) struct Spec {
     pub(super) surface: Surface,
     pub(super) fill: Linear,
     pub(super) line: Linear,
+    pub(super) blend: Blend,
     line_medium: Medium,
     sheet: Sheet,
     occlusion: f64,
@@ -39,7 +41,7 @@ pub(super) struct Look<'a> {
     fill: Tint,
     line: Tint,
     sheet: &'a Sheet,
-    glare: Option<([f32; 2], f32, f32)>,
+    pub(super) glare: Option<([f32; 2], f32, f32)>,
 }
 
 impl Look<'_> {
@@ -49,7 +51,8 @@ impl Look<'_> {
 }
 
 impl Spec {
-    pub(super) fn sample(config: &Config, near_miss: bool, seed: u64) -> Self {
+    /// `turn` says which of the configured hues it takes where they go in turn.
+    pub(super) fn sample(config: &Config, near_miss: bool, seed: u64, turn: Option<u64>) -> Self {
         let stream = |purpose: &str| Rng::for_item(seed, &format!("datagen/marker/{purpose}"), 0);
         let m = &config.markers;
         let shapes = if near_miss { &config.confusers.shapes } else { &m.shapes };
@@ -57,10 +60,15 @@ impl Spec {
         let medium = pick(&m.media, Medium::FeltTip, &mut stream("medium"));
         let surface = pick(&m.surfaces, Surface::White, &mut stream("surface"));
         let sheet = Sheet::sample(surface, &m.margin, &mut stream("sheet"));
-        let (fill, line, line_medium) = colors(config, medium, &sheet, &mut stream("colors"));
+        let mut hues = stream("hue");
+        let hue = match m.hues.len() {
+            0 => None,
+            n => Some(m.hues[turn.map_or_else(|| hues.index(n), |k| (k % n as u64) as usize)] + hues.uniform(-6.0, 6.0)),
+        };
+        let (fill, line, line_medium) = colors(config, medium, &sheet, hue, &mut stream("colors"));
         let aspect = m.aspect.sample(&mut stream("aspect")).sqrt();
         let mut bend = stream("bend");
-        let bent = bend.chance(m.bent) && surface != Surface::Photo && surface != Surface::Board && surface != Surface::Wall;
+        let bent = bend.chance(m.bent) && surface.is_paper();
         let stance = Stance {
             side_px: m.side_px.sample(&mut stream("side")),
             tilt: m.tilt_deg.sample(&mut stream("tilt")).to_radians(),
@@ -70,6 +78,8 @@ impl Spec {
             bend: (if bent { m.bend.sample(&mut bend) } else { 0.0 }, bend.uniform(0.0, std::f64::consts::PI)),
             may_be_cut: stream("cut").chance(m.cut),
         };
+        #[cfg(test)]
+        let stance = Stance { roll: if super::EQUAL_ANGLES.get() { stance.azimuth } else { stance.roll }, ..stance };
         Self {
             seed,
             near_miss,
@@ -79,6 +89,7 @@ impl Spec {
             surface,
             fill,
             line,
+            blend: pick(&m.blend, Blend::Matched, &mut stream("blend")),
             line_medium,
             sheet,
             occlusion: m.occlusion.sample(&mut stream("occlusion")),
@@ -126,6 +137,19 @@ impl Spec {
             sheet: &self.sheet,
             glare,
         }
+    }
+
+    /// How it was drawn, for the record.
+    pub(super) fn hand(&self, habits: &Habits) -> Vec<(&'static str, f64)> {
+        let [w, h] = self.stance.half;
+        vec![
+            ("aspect", w / h),
+            ("wobble", habits.wobble),
+            ("corner_error", habits.corner_error),
+            ("end_error", habits.end_error),
+            ("line_width", habits.line_width),
+            ("hatched", f64::from(u8::from(habits.hatched))),
+        ]
     }
 
     /// What covers it: the covered share of its quadrilateral, and an outline that covers everything on one side of a line.
@@ -182,10 +206,11 @@ fn brightness_at(canvas: &Canvas, view: &View) -> f32 {
 }
 
 /// A saturated fill and lines that differ from it: dark, light, or of another hue.
-fn colors(config: &Config, medium: Medium, sheet: &Sheet, rng: &mut Rng) -> (Linear, Linear, Medium) {
+fn colors(config: &Config, medium: Medium, sheet: &Sheet, hue: Option<f64>, rng: &mut Rng) -> (Linear, Linear, Medium) {
     let nature = medium.nature();
     let paper = color::luminance(sheet.base);
-    let hue = rng.uniform(0.0, 360.0);
+    let any = rng.uniform(0.0, 360.0);
+    let hue = hue.unwrap_or(any);
     let mut fill =
         color::from_hsv(hue, rng.uniform(nature.saturation[0], nature.saturation[1]), rng.uniform(nature.value[0], nature.value[1]));
     if paper < 0.15 {

@@ -18,20 +18,34 @@ pub mod drawing;
 pub mod film;
 pub mod ink;
 mod marker;
+mod photo;
+pub mod video;
 pub mod view;
 
 use film::{Film, Light};
 use marker::Spec;
+use photo::PhotoLight;
+use video::{Moment, Path};
 use view::{Camera, View};
 
-/// Draws the markers, confusers and effects of image `index` over its background and fills in the record.
-pub fn draw(mut canvas: Canvas, config: &Config, seed: u64, index: u64, record: &mut Record) -> RgbImage {
-    let stream = |purpose: &str| Rng::for_item(seed, &format!("datagen/{purpose}"), index);
+#[cfg(test)]
+thread_local! {
+    /// A fault for the audit's test: every marker's turn equals the direction of its tilt.
+    pub(crate) static EQUAL_ANGLES: std::cell::Cell<bool> = const { std::cell::Cell::new(false) };
+}
+
+/// Draws the markers, confusers and effects of image `index` over its background and fills in the record. At a moment of a video the canvas is
+/// what lies around the frame.
+pub fn draw(mut canvas: Canvas, config: &Config, seed: u64, index: u64, moment: Option<Moment>, record: &mut Record) -> RgbImage {
+    // What stays the same through a video is drawn once for all of its frames.
+    let item = moment.map_or(index, |m| m.sequence);
+    let stream = |purpose: &str| Rng::for_item(seed, &format!("datagen/{purpose}"), item);
     let (width, height) = (f64::from(config.width), f64::from(config.height));
     let mut count = stream("count");
     let wanted = config.markers.per_image.sample(&mut count).floor() as usize;
     let near_misses = config.confusers.near_misses.sample(&mut count).floor() as usize;
-    let specs: Vec<Spec> = (0..wanted + near_misses).map(|k| Spec::sample(config, k >= wanted, marker_seed(seed, index, k))).collect();
+    let turn = moment.map(|m| m.sequence);
+    let specs: Vec<Spec> = (0..wanted + near_misses).map(|k| Spec::sample(config, k >= wanted, marker_seed(seed, item, k), turn)).collect();
 
     let camera = sample_camera(config, &specs, stream("camera"));
     record.intrinsics = Some([camera.focal, camera.focal, camera.center[0], camera.center[1]]);
@@ -44,16 +58,32 @@ pub fn draw(mut canvas: Canvas, config: &Config, seed: u64, index: u64, record: 
         stickers::paint(&mut canvas, &mut clutter);
     }
 
-    let motion = Motion::sample(config, &specs, stream("motion"));
-    let light = PhotoLight::of(&canvas, &mut stream("light"));
-    let softness = config.camera.softness_px.sample(&mut stream("softness"));
-    let mut taken: Vec<Quad> = Vec::new();
-    let mut shown = Vec::new();
-    for spec in &specs {
-        let Some((view, outline)) = spec.place(&camera, width, height, &taken) else { continue };
-        taken.push(outline);
-        shown.push((spec, view));
-    }
+    let path = moment.zip(specs.first()).and_then(|(moment, spec)| {
+        record
+            .effects
+            .insert("video".into(), json!({ "sequence": moment.sequence, "frame": moment.frame, "time_s": rounded(moment.time_s) }));
+        Some((moment, Path::sample(&config.video, &spec.stance, camera, [width, height], &mut stream("path"))?))
+    });
+    let (mut taken, mut shown) = (Vec::new(), Vec::new());
+    let motion = if let Some((moment, path)) = &path {
+        canvas = path.warp(&canvas, config.width as usize, config.height as usize, moment.time_s);
+        shown.push((&specs[0], path.view(moment.time_s)));
+        Motion::of_camera(path.blur(moment.time_s))
+    } else {
+        for spec in &specs {
+            let Some((view, outline)) = spec.place(&camera, width, height, &taken) else { continue };
+            taken.push(outline);
+            shown.push((spec, view));
+        }
+        let (fraction, motion) = Motion::sample(config, &specs, stream("motion"));
+        record.effects.insert("motion_fraction".into(), rounded(fraction).into());
+        motion
+    };
+    let light = PhotoLight::of(&canvas, &mut stream("light"), Rng::for_item(seed, "datagen/grain", index).bits());
+    // No marker is sharper than the photo it stands in.
+    let softness = config.camera.softness_px.sample(&mut stream("softness")).max(f64::from(light.sharpness_px));
+    record.effects.insert("softness_px".into(), rounded(softness).into());
+    record.effects.insert("light".into(), light.parameters());
     // Near misses first, so that none hides a marker.
     let mut truths: Vec<(usize, Truth)> = Vec::new();
     for pass in [true, false] {
@@ -70,7 +100,7 @@ pub fn draw(mut canvas: Canvas, config: &Config, seed: u64, index: u64, record: 
             record.markers.extend(truth.into_marker(spec, view, width, height, motion.as_ref()));
         }
     }
-    expose(&mut canvas, config, motion.as_ref(), &stream, record);
+    expose(&mut canvas, config, motion.as_ref(), &stream, Rng::for_item(seed, "datagen/noise", index), record);
     canvas.to_image()
 }
 
@@ -99,7 +129,13 @@ struct Motion {
 }
 
 impl Motion {
-    fn sample(config: &Config, specs: &[Spec], mut rng: Rng) -> Option<Self> {
+    /// The blur of a moving camera: length in pixels, direction in radians, bend.
+    fn of_camera((length, angle, curve): (f64, f64, f64)) -> Option<Self> {
+        video::shutter((length, angle, curve)).map(|blur| Self { blur, length, camera_moves: true, angle, curve })
+    }
+
+    /// The fraction of the marker's side that was drawn, and the blur where it is long enough to be seen.
+    fn sample(config: &Config, specs: &[Spec], mut rng: Rng) -> (f64, Option<Self>) {
         let c = &config.camera;
         let fraction = c.motion_blur.sample(&mut rng);
         let angle = c.motion_deg.sample(&mut rng).to_radians();
@@ -109,81 +145,9 @@ impl Motion {
         let other = config.markers.side_px.sample(&mut rng);
         let side = specs.first().map_or(other, |s| s.stance.side_px);
         let length = (fraction * side).min(c.motion_blur_max_px);
-        (length > 0.3).then(|| Self { blur: Blur::motion(length, angle, curve), length, camera_moves, angle, curve })
+        let seen = (length > 0.3).then(|| Self { blur: Blur::motion(length, angle, curve), length, camera_moves, angle, curve });
+        (fraction, seen)
     }
-}
-
-/// The light that falls on a sheet, taken from the photo: its level, its colour, its slopes.
-struct PhotoLight {
-    columns: usize,
-    levels: Vec<f32>,
-    tone: color::Linear,
-    grain: f32,
-    seed: u64,
-}
-
-/// Pixels a cell of the light.
-const LIGHT_CELL: usize = 32;
-
-impl PhotoLight {
-    fn of(canvas: &Canvas, rng: &mut Rng) -> Self {
-        // Every fourth pixel of every fourth row tells enough of the light: sums over cells, then over each cell and its neighbours.
-        let (columns, rows) = (canvas.width.div_ceil(LIGHT_CELL) + 1, canvas.height.div_ceil(LIGHT_CELL) + 1);
-        let mut sums = vec![([0f32; 3], 0f32); columns * rows];
-        for y in (0..canvas.height).step_by(4) {
-            for x in (0..canvas.width).step_by(4) {
-                let (sum, count) = &mut sums[y / LIGHT_CELL * columns + x / LIGHT_CELL];
-                let pixel = canvas.at(x, y);
-                (0..3).for_each(|c| sum[c] += pixel[c]);
-                *count += 1.0;
-            }
-        }
-        let mean_of = |cells: &mut dyn Iterator<Item = usize>| {
-            let (sum, count) = cells.fold(([0f32; 3], 0f32), |(sum, n), k| (std::array::from_fn(|c| sum[c] + sums[k].0[c]), n + sums[k].1));
-            (count > 0.0).then(|| color::scaled(sum, 1.0 / count))
-        };
-        let mean = mean_of(&mut (0..sums.len())).unwrap_or([0.2; 3]);
-        let level = color::luminance(mean).max(0.01);
-        let follow = rng.uniform(0.1, 0.6);
-        let strength = ((f64::from(level) * 1.7 + 0.12) * rng.uniform(0.75, 1.25)).clamp(0.08, 1.05);
-        let at = |i: usize, j: usize| {
-            let around = |k: usize, n: usize| k.saturating_sub(1)..(k + 1).min(n);
-            let near = mean_of(&mut around(j, rows).flat_map(|j| around(i, columns).map(move |i| j * columns + i)));
-            let local = near.map_or(level, color::luminance).max(0.005);
-            (strength * libm::pow(f64::from(local / level), follow).clamp(0.35, 1.6)) as f32
-        };
-        let levels = (0..columns * rows).map(|k| at(k % columns, k / columns)).collect();
-        let tint = rng.uniform(0.0, 0.5);
-        let tone = mean.map(|v| libm::pow(f64::from(v / level).clamp(0.5, 1.6), tint) as f32);
-        Self { columns, levels, tone, grain: grain_of(canvas), seed: rng.bits() }
-    }
-}
-
-impl Light for PhotoLight {
-    fn level(&self, x: f32, y: f32) -> f32 {
-        let (x, y) = (x / LIGHT_CELL as f32, y / LIGHT_CELL as f32);
-        let (i, j) = (x as usize, y as usize);
-        let (u, v) = (x - i as f32, y - j as f32);
-        let last = self.levels.len() - 1;
-        let at = |i: usize, j: usize| self.levels[(j * self.columns + i).min(last)];
-        let top = at(i, j) + (at(i + 1, j) - at(i, j)) * u;
-        let bottom = at(i, j + 1) + (at(i + 1, j + 1) - at(i, j + 1)) * u;
-        top + (bottom - top) * v
-    }
-
-    fn tone(&self) -> color::Linear {
-        self.tone
-    }
-}
-
-/// The photo's own noise: the median difference between neighbours, as a deviation in linear light; fine texture counts too, so it is
-/// kept small.
-fn grain_of(canvas: &Canvas) -> f32 {
-    let plane = &canvas.planes[1];
-    let mut steps: Vec<f32> =
-        plane.chunks_exact(canvas.width).step_by(7).flat_map(|row| row.windows(2).step_by(5).map(|w| (w[1] - w[0]).abs())).collect();
-    steps.sort_by(f32::total_cmp);
-    steps.get(steps.len() / 2).map_or(0.0, |m| (m * 0.75).min(0.015))
 }
 
 /// What was drawn where.
@@ -193,12 +157,16 @@ struct Truth {
     mask: Vec<(usize, usize, usize)>,
     bounds: tcross_dataset::PixelBox,
     covered: f64,
+    glare: Option<([f32; 2], f32, f32)>,
+    /// How the hand drew it, by name.
+    hand: Vec<(&'static str, f64)>,
 }
 
 /// Draws one marker (or near miss) over the picture. `None` where nothing of it can be seen.
 fn paint(canvas: &mut Canvas, spec: &Spec, view: &View, light: &PhotoLight, softness: f64, motion: Option<&Blur>) -> Option<Truth> {
     let size = (canvas.width, canvas.height);
     let look = spec.look(canvas, view);
+    let softness = spec.blend.softness(softness);
     let pad = (softness * 3.0).ceil() as usize + motion.map_or(0, |m| m.reach) + 1;
     let mut film = Film::render(&look.layers(&spec.stance.half), view, size, pad, light)?;
     let corners = look.drawing.corners.map(|p| view.image_from_plane(p));
@@ -213,7 +181,7 @@ fn paint(canvas: &mut Canvas, spec: &Spec, view: &View, light: &PhotoLight, soft
             blur.apply(plane, width, height);
         }
     }
-    lay(canvas, &film, light);
+    spec.blend.lay(canvas, &film, light.grain, light.seed);
     if let Some((_, outline)) = &occluder {
         let mut rng = Rng::for_item(spec.seed, "datagen/occluder", 1);
         let material = match rng.index(3) {
@@ -227,25 +195,7 @@ fn paint(canvas: &mut Canvas, spec: &Spec, view: &View, light: &PhotoLight, soft
         });
     }
     let covered = occluder.map_or(0.0, |o| o.0);
-    Some(Truth { corners, center, mask, bounds, covered })
-}
-
-/// Lays a film over the picture; what it adds gets the photo's grain.
-fn lay(canvas: &mut Canvas, film: &Film, light: &PhotoLight) {
-    let normals = crate::noise::normals();
-    let width = film.x.len();
-    let mut rng = Rng::for_item(light.seed, "datagen/film-grain", film.y.start as u64 * 65_536 + film.x.start as u64);
-    for (j, y) in film.y.clone().enumerate() {
-        let start = (rng.bits() & 0x7fff) as usize;
-        for c in 0..3 {
-            let row = &mut canvas.planes[c][y * canvas.width + film.x.start..][..width];
-            let (through, own) = (&film.planes[c][j * width..][..width], &film.planes[3 + c][j * width..][..width]);
-            let grain = &normals[start + c * 64..][..width.min(1 << 15)];
-            for (((v, t), o), n) in row.iter_mut().zip(through).zip(own).zip(grain) {
-                *v = *v * t + o * (1.0 + 0.5 * light.grain) + light.grain * n * (1.0 - t);
-            }
-        }
-    }
+    Some(Truth { corners, center, mask, bounds, covered, glare: look.glare, hand: spec.hand(&look.drawing.habits) })
 }
 
 /// The pixels that show the marker, as runs (row, first, end), and the box of all ink that is in the image and not covered.
@@ -315,12 +265,16 @@ impl Truth {
         marker.corners = Some(Quad(corners));
         marker.center = Some(center);
         marker.blur_px = Some(rounded(motion.map_or(0.0, |m| m.length)));
-        marker.tilt_deg = Some(rounded(spec.stance.tilt.to_degrees()));
+        marker.tilt_deg = Some(rounded(view.tilt().to_degrees()));
         marker.medium = Some(spec.medium.name().into());
         marker.surface = Some(spec.surface.name().into());
         marker.fill = Some(color::hex(spec.fill));
         marker.line = Some(color::hex(spec.line));
         marker.occlusion = Some(rounded(self.covered));
+        marker.blend = Some(spec.blend.name().into());
+        marker.bend = Some([rounded(spec.stance.bend.0), rounded(spec.stance.bend.1.to_degrees())]).filter(|b| b[0] != 0.0);
+        marker.hand = self.hand.into_iter().map(|(key, v)| (key.to_owned(), rounded(v).into())).collect();
+        marker.glare = self.glare.map(|(at, radius, strength)| [at[0], at[1], radius, strength].map(|v| rounded(f64::from(v))));
         marker.rotation = Some(view.pose.rotation);
         marker.translation = Some(view.pose.translation);
         let mut mask = Vec::with_capacity(self.mask.len() * 2);
@@ -337,13 +291,21 @@ impl Truth {
 }
 
 /// What the camera does to the whole picture, in the order in which light meets it.
-fn expose(canvas: &mut Canvas, config: &Config, motion: Option<&Motion>, stream: &dyn Fn(&str) -> Rng, record: &mut Record) {
+fn expose(
+    canvas: &mut Canvas,
+    config: &Config,
+    motion: Option<&Motion>,
+    stream: &dyn Fn(&str) -> Rng,
+    mut noise: Rng,
+    record: &mut Record,
+) {
     let c = &config.camera;
     let (width, height) = (canvas.width, canvas.height);
     let mut shadow = stream("shadow");
     if shadow.chance(c.shadows) {
-        effects::shadow(canvas, &mut shadow);
-        record.effects.insert("shadow".into(), true.into());
+        let shadow = effects::Shadow::sample(width, height, &mut shadow);
+        shadow.cast(canvas);
+        record.effects.insert("shadow".into(), shadow.parameters());
     }
     let defocus = c.defocus_px.sample(&mut stream("defocus"));
     for plane in &mut canvas.planes {
@@ -355,7 +317,6 @@ fn expose(canvas: &mut Canvas, config: &Config, motion: Option<&Motion>, stream:
     }
     let (exposure, balance) = (c.exposure_stops.sample(&mut stream("exposure")), c.white_balance_stops.sample(&mut stream("balance")));
     canvas.gain(effects::gains(exposure, balance));
-    let mut noise = stream("noise");
     let percent = c.noise_percent.sample(&mut noise);
     if percent > 0.0 {
         effects::sensor_noise(canvas, percent, &mut noise);

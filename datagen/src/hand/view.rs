@@ -124,6 +124,14 @@ impl View {
         (p[0].is_finite() && p[1].is_finite() && p[0].abs() < 1e3 && p[1].abs() < 1e3).then_some(p)
     }
 
+    /// Angle between the sheet's normal at its middle and the line of sight, in radians.
+    #[must_use]
+    pub fn tilt(&self) -> f64 {
+        let (r, t) = (&self.pose.rotation, &self.pose.translation);
+        let length = (t[0] * t[0] + t[1] * t[1] + t[2] * t[2]).sqrt();
+        libm::acos(((r[2] * t[0] + r[5] * t[1] + r[8] * t[2]) / length).clamp(-1.0, 1.0))
+    }
+
     /// Pixels a side at a point of the sheet: the largest and the smallest over all directions.
     #[must_use]
     pub fn scales(&self, p: [f64; 2]) -> Option<(f64, f64)> {
@@ -177,7 +185,7 @@ impl Stance {
     }
 
     /// The view of this marker with its middle near `at`, at the depth that gives it its size.
-    fn view(&self, camera: &Camera, at: [f64; 2]) -> Option<(View, Quad)> {
+    pub(super) fn view(&self, camera: &Camera, at: [f64; 2]) -> Option<(View, Quad)> {
         let mut depth = camera.focal * libm::cos(self.tilt).sqrt() / self.side_px;
         for _ in 0..4 {
             let view = View { camera: *camera, pose: self.pose(camera, at, depth) };
@@ -221,7 +229,7 @@ pub fn place(stance: &Stance, camera: &Camera, width: f64, height: f64, rng: &mu
     stance.view(camera, at)
 }
 
-fn turn(angle: f64) -> [f64; 9] {
+pub(super) fn turn(angle: f64) -> [f64; 9] {
     let (c, s) = (libm::cos(angle), libm::sin(angle));
     [c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0]
 }
@@ -231,15 +239,20 @@ fn lean(angle: f64) -> [f64; 9] {
     [1.0, 0.0, 0.0, 0.0, c, -s, 0.0, s, c]
 }
 
+/// The way back of a rotation.
+pub(super) fn transposed(m: &[f64; 9]) -> [f64; 9] {
+    std::array::from_fn(|k| m[k % 3 * 3 + k / 3])
+}
+
 /// The shortest turn that takes the optical axis to the ray (u, v, 1).
-fn to_ray(u: f64, v: f64) -> [f64; 9] {
+pub(super) fn to_ray(u: f64, v: f64) -> [f64; 9] {
     let n = (u * u + v * v + 1.0).sqrt();
     let (x, y, z) = (u / n, v / n, 1.0 / n);
     let k = 1.0 / (1.0 + z);
     [1.0 - x * x * k, -x * y * k, x, -x * y * k, 1.0 - y * y * k, y, -x, -y, z]
 }
 
-fn product(a: &[f64; 9], b: &[f64; 9]) -> [f64; 9] {
+pub(super) fn product(a: &[f64; 9], b: &[f64; 9]) -> [f64; 9] {
     std::array::from_fn(|i| (0..3).map(|k| a[i / 3 * 3 + k] * b[k * 3 + i % 3]).sum())
 }
 

@@ -41,7 +41,7 @@ fn bytes_do_not_depend_on_threads() {
             make(&small(style), dir.path(), |o| o.threads = Some(threads)).unwrap();
             contents(dir.path())
         });
-        assert_eq!(made[0].len(), 20 + 4);
+        assert_eq!(made[0].len(), 20 + 6);
         assert!(made[0] == made[1] && made[0] == made[2]);
     }
 }
@@ -140,4 +140,118 @@ fn a_full_folder_of_someone_else_is_left_alone() {
     fs::write(dir.path().join("train/mine.txt"), "precious").unwrap();
     make(&small(Style::Paper), dir.path(), |_| {}).unwrap();
     assert_eq!(fs::read(dir.path().join("train/mine.txt")).unwrap(), b"precious");
+}
+
+#[test]
+fn a_dataset_says_what_it_is() {
+    let dir = tempfile::tempdir().unwrap();
+    fs::write(dir.path().join("README.md"), "mine").unwrap();
+    make(&small(Style::HandDrawn), dir.path(), |_| {}).unwrap();
+    assert_eq!(fs::read_to_string(dir.path().join("README.md")).unwrap(), "mine", "a card of someone else stays");
+    let croissant: serde_json::Value = serde_json::from_slice(&fs::read(dir.path().join("croissant.json")).unwrap()).unwrap();
+    assert_eq!(croissant["conformsTo"][0], "http://mlcommons.org/croissant/1.0");
+    let responsible = croissant.as_object().unwrap().keys().filter(|k| k.starts_with("rai:")).count();
+    assert!(responsible >= 12, "{responsible}");
+    // Its records point at keys that are there.
+    let line = fs::read_to_string(dir.path().join("test.jsonl")).unwrap();
+    let record: serde_json::Value = serde_json::from_str(line.lines().next().unwrap()).unwrap();
+    for field in croissant["recordSet"][0]["field"].as_array().unwrap() {
+        let path = field["source"]["extract"]["jsonPath"].as_str().unwrap().trim_start_matches("$.");
+        assert!(path.starts_with("markers[*].") || record.get(path).is_some(), "{path}");
+    }
+    let other = tempfile::tempdir().unwrap();
+    make(&small(Style::Paper), other.path(), |_| {}).unwrap();
+    let card = fs::read_to_string(other.path().join("README.md")).unwrap();
+    assert!(card.contains("20 images of 128x96 pixels with 20 annotated") && card.contains("| train | 14 |"), "{card}");
+}
+
+fn video() -> Config {
+    let mut config = Config { images: 40, width: 192, height: 128, ..Default::default() };
+    config.markers.per_image = Dist::constant(1.0);
+    config.markers.side_px = Dist::log(30.0, 60.0);
+    config.markers.hues = vec![0.0, 120.0, 240.0];
+    config.markers.cut = 0.0;
+    config.confusers.near_misses = Dist::constant(0.0);
+    config.video.sequences = 8;
+    config
+}
+
+#[test]
+fn a_video_is_one_marker_in_one_split_that_moves() {
+    let dir = tempfile::tempdir().unwrap();
+    make(&video(), dir.path(), |o| o.threads = Some(2)).unwrap();
+    let dataset = Dataset::open(dir.path()).unwrap();
+    let mut videos: BTreeMap<u64, Vec<tcross_dataset::Record>> = BTreeMap::new();
+    for record in Split::ALL.into_iter().flat_map(|s| dataset.records(s).unwrap()) {
+        videos.entry(record.effects["video"]["sequence"].as_u64().unwrap()).or_default().push(record);
+    }
+    assert_eq!(videos.len(), 8);
+    for (sequence, frames) in &videos {
+        assert_eq!(frames.len(), 5);
+        let of = |f: &dyn Fn(&tcross_dataset::Record) -> String| frames.iter().map(f).collect::<std::collections::BTreeSet<_>>().len();
+        assert_eq!(of(&|r| r.image.split('/').next().unwrap().to_owned()), 1, "{sequence}: one split");
+        assert_eq!(
+            of(&|r| format!("{:?}", (r.markers[0].fill.clone(), r.markers[0].seed, r.background.clone()))),
+            1,
+            "{sequence}: one marker"
+        );
+        assert_eq!(of(&|r| format!("{:?}", r.markers[0].center)), 5, "{sequence}: it moves");
+        let times: Vec<f64> = frames.iter().map(|r| r.effects["video"]["time_s"].as_f64().unwrap()).collect();
+        assert!((times[1] - times[0] - 1.0 / 3.0).abs() < 1e-3);
+    }
+    // A frame alone is the same frame.
+    let one = tempfile::tempdir().unwrap();
+    make(&video(), one.path(), |o| o.only = Some(13)).unwrap();
+    let name = dataset.records(Split::Train).unwrap()[13].image.clone();
+    assert!(contents(one.path())[&name] == contents(dir.path())[&name]);
+    let mut wrong = video();
+    wrong.markers.per_image = Dist::int(0, 2);
+    assert!(make(&wrong, one.path(), |_| {}).unwrap_err().to_string().contains("data.markers.per_image"));
+}
+
+/// A folder on a file system of its own, of so many KiB; `None` where this process may not mount one.
+struct Disk(std::path::PathBuf);
+
+impl Disk {
+    fn new(dir: &Path, kib: u32) -> Option<Self> {
+        let mounted = std::process::Command::new("mount").args(["-t", "tmpfs", "-o", &format!("size={kib}k"), "tmpfs"]).arg(dir).output();
+        let done = mounted.is_ok_and(|m| m.status.success());
+        if !done {
+            eprintln!("skipped: no right to mount a small disk");
+        }
+        done.then(|| Self(dir.to_owned()))
+    }
+
+    fn remount(&self, how: &str) {
+        let done = std::process::Command::new("mount").args(["-o", &format!("remount,{how}")]).arg(&self.0).status();
+        assert!(done.unwrap().success());
+    }
+}
+
+impl Drop for Disk {
+    fn drop(&mut self) {
+        let _ = std::process::Command::new("umount").arg(&self.0).status();
+    }
+}
+
+#[test]
+fn a_full_or_read_only_disk_loses_nothing_that_was_finished() {
+    let dir = tempfile::tempdir().unwrap();
+    let Some(disk) = Disk::new(dir.path(), 2600) else { return };
+    let out = dir.path().join("set");
+    let config = Config { images: 800, ..small(Style::Paper) };
+    let full = make(&config, &out, |_| {}).unwrap_err().to_string();
+    assert!(full.contains(&out.display().to_string()) && full.to_lowercase().contains("space"), "{full}");
+    let finished =
+        fs::read_dir(out.join(".parts")).unwrap().filter(|e| e.as_ref().unwrap().path().extension().is_some_and(|e| e == "jsonl")).count();
+    assert!(finished >= 1, "the disk holds one chunk at least");
+    disk.remount("ro");
+    let locked = make(&config, &out, |o| o.resume = true).unwrap_err().to_string();
+    assert!(locked.contains(&out.display().to_string()) && locked.to_lowercase().contains("read-only"), "{locked}");
+    disk.remount("rw,size=32m");
+    let resumed = make(&config, &out, |o| o.resume = true).unwrap();
+    assert_eq!(resumed.resumed, 256 * finished as u64);
+    let whole = tempfile::tempdir().unwrap();
+    make(&config, whole.path(), |_| {}).unwrap();
+    assert!(contents(whole.path()) == contents(&out));
 }

@@ -1,7 +1,7 @@
 //! The truth against the picture: corners and centre are found again with sub-pixel accuracy from the pixels alone (the annotation only says
 //! where to look, and is first moved by up to a pixel).
 use image::RgbImage;
-use tcross_datagen::{Backgrounds, Config, Dist, Medium, Surface, color, sample};
+use tcross_datagen::{Backgrounds, Blend, Config, Dist, Medium, Surface, color, sample};
 use tcross_dataset::{Record, Rng};
 
 type P = [f64; 2];
@@ -51,21 +51,69 @@ fn cross((p, d): (P, P), (q, e): (P, P)) -> P {
     along(p, d, t)
 }
 
-/// Where the fill ends, on a profile across a side from outside (-reach) to inside: the edge of equal area.
-fn edge(image: &RgbImage, at: P, inward: P, reach: f64) -> P {
-    let steps = 200;
-    let place = |k: usize| -reach + 2.0 * reach * (k as f64 + 0.5) / steps as f64;
-    let values: Vec<[f64; 3]> = (0..steps).map(|k| light(image, along(at, inward, place(k)))).collect();
-    let mean = |range: std::ops::Range<usize>| -> [f64; 3] {
-        let n = range.len() as f64;
-        std::array::from_fn(|c| values[range.clone()].iter().map(|v| v[c]).sum::<f64>() / n)
-    };
-    let (outside, inside) = (mean(0..steps / 8), mean(steps * 7 / 8..steps));
-    let d: [f64; 3] = std::array::from_fn(|c| inside[c] - outside[c]);
-    let norm: f64 = d.iter().map(|v| v * v).sum();
-    let area: f64 =
-        values.iter().map(|v| (0..3).map(|c| (v[c] - outside[c]) * d[c]).sum::<f64>() / norm).sum::<f64>() * 2.0 * reach / steps as f64;
-    along(at, inward, reach - area)
+/// Profiles across one side, from outside (-reach) to inside, as the share of the way from the colour outside to the colour inside.
+struct Profiles {
+    places: Vec<P>,
+    inward: P,
+    reach: f64,
+    shares: Vec<Vec<f64>>,
+    /// How the light rises per pixel along a profile, outside and inside; common to the side, because it is the light's and not the edge's.
+    slopes: [f64; 2],
+}
+
+const STEPS: usize = 200;
+/// Samples at either end of a profile that no blur reaches.
+const FLAT: usize = STEPS * 3 / 16;
+
+impl Profiles {
+    fn take(image: &RgbImage, places: Vec<P>, inward: P, reach: f64) -> Self {
+        let at = |k: usize| -reach + 2.0 * reach * (k as f64 + 0.5) / STEPS as f64;
+        let values: Vec<Vec<[f64; 3]>> =
+            places.iter().map(|p| (0..STEPS).map(|k| light(image, along(*p, inward, at(k)))).collect()).collect();
+        let mean = |range: std::ops::Range<usize>| -> [f64; 3] {
+            let n = (range.len() * values.len()) as f64;
+            std::array::from_fn(|c| values.iter().flat_map(|v| &v[range.clone()]).map(|v| v[c]).sum::<f64>() / n)
+        };
+        let (outside, inside) = (mean(0..FLAT), mean(STEPS - FLAT..STEPS));
+        let d: [f64; 3] = std::array::from_fn(|c| inside[c] - outside[c]);
+        let norm: f64 = d.iter().map(|v| v * v).sum();
+        let share = |v: &[f64; 3]| (0..3).map(|c| (v[c] - outside[c]) * d[c]).sum::<f64>() / norm;
+        let shares: Vec<Vec<f64>> = values.iter().map(|v| v.iter().map(share).collect()).collect();
+        let slope = |range: std::ops::Range<usize>| {
+            let mean = |f: &dyn Fn(usize) -> f64| range.clone().map(f).sum::<f64>() / range.len() as f64;
+            let level = |k: usize| shares.iter().map(|s| s[k]).sum::<f64>() / shares.len() as f64;
+            let (x, y) = (mean(&at), mean(&level));
+            let (xy, xx) = range.clone().fold((0.0, 0.0), |(xy, xx), k| (xy + (at(k) - x) * (level(k) - y), xx + (at(k) - x).powi(2)));
+            xy / xx
+        };
+        let slopes = [slope(0..FLAT), slope(STEPS - FLAT..STEPS)];
+        Self { places, inward, reach, shares, slopes }
+    }
+
+    /// Where the fill ends on each profile: two sloping levels that meet at a step have the profile's area. Symmetric blur keeps it.
+    fn edges(&self) -> Vec<P> {
+        let step = 2.0 * self.reach / STEPS as f64;
+        let at = |k: usize| -self.reach + step * (k as f64 + 0.5);
+        let level = |s: &[f64], range: std::ops::Range<usize>, slope: f64| {
+            range.clone().map(|k| s[k] - slope * at(k)).sum::<f64>() / range.len() as f64
+        };
+        let one = |(place, s): (&P, &Vec<f64>)| {
+            let (a, b) = (level(s, 0..FLAT, self.slopes[0]), level(s, STEPS - FLAT..STEPS, self.slopes[1]));
+            let area: f64 = s.iter().sum::<f64>() * step;
+            // Area of the two levels with the step at x, less the profile's; it falls as x moves inwards.
+            let excess = |x: f64| {
+                let part = |level: f64, slope: f64, from: f64, to: f64| level * (to - from) + slope * (to * to - from * from) / 2.0;
+                part(a, self.slopes[0], -self.reach, x) + part(b, self.slopes[1], x, self.reach) - area
+            };
+            let (mut lo, mut hi) = (-self.reach, self.reach);
+            for _ in 0..50 {
+                let middle = (lo + hi) / 2.0;
+                if excess(middle) > 0.0 { lo = middle } else { hi = middle }
+            }
+            along(*place, self.inward, lo)
+        };
+        self.places.iter().zip(&self.shares).map(one).collect()
+    }
 }
 
 /// The middle of a line of another colour on a profile across it.
@@ -117,8 +165,8 @@ fn detect(image: &RgbImage, lens: &Lens, guess: [P; 4], reach: f64) -> ([P; 4], 
             let d = unit(sub(b, a));
             let inward = [-d[1], d[0]]; // clockwise corners: the inside lies to the right
             let length = sub(b, a)[0].hypot(sub(b, a)[1]);
-            let points: Vec<P> =
-                (0..25).map(|i| edge(image, along(a, d, length * (0.3 + 0.4 * f64::from(i) / 24.0)), inward, reach)).collect();
+            let places = (0..25).map(|i| along(a, d, length * (0.3 + 0.4 * f64::from(i) / 24.0))).collect();
+            let points = Profiles::take(image, places, inward, reach).edges();
             fit(&points.into_iter().map(|p| lens.straight(p)).collect::<Vec<_>>())
         })
         .collect();
@@ -151,6 +199,8 @@ fn config(clean: bool) -> Config {
     c.markers.surfaces = [(Surface::White, 1.0)].into();
     c.markers.media = [(Medium::Print, 1.0)].into();
     c.markers.line_media = [(Medium::Print, 1.0)].into();
+    // The relief of whatever lies below is noise to an edge.
+    c.markers.blend = [(Blend::Matched, 1.0), (Blend::Sharp, 1.0), (Blend::Feathered, 1.0)].into();
     c.hand.line_width = Dist::uniform(0.06, 0.1);
     c.camera.motion_blur = if clean { Dist::constant(0.0) } else { Dist::uniform(0.0, 0.05) };
     c.camera.motion_curve = Dist::constant(0.0);
@@ -228,8 +278,7 @@ fn perspective_lens_and_blur_move_truth_and_picture_alike() {
     let e = errors(&config(false), 60, 14.0);
     let (c, m) = ([0.5, 0.95].map(|q| quantile(&e.corners, q)), [0.5, 0.95].map(|q| quantile(&e.centers, q)));
     eprintln!("perspective, lens, blur: corners median {:.3} p95 {:.3}, centre median {:.3} p95 {:.3}", c[0], c[1], m[0], m[1]);
-    // The mark is 0.3 and 1.0; the corners are at 0.352 and 1.003 (docs/log.md), and must not get worse until it is met.
-    assert!(c[0] < 0.36 && c[1] < 1.02, "{c:?}");
+    assert!(c[0] < 0.3 && c[1] < 1.0, "{c:?}");
     assert!(m[0] < 0.3 && m[1] < 1.0, "{m:?}");
 }
 

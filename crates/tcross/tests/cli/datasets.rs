@@ -92,3 +92,73 @@ fn what_is_wrong_is_listed() {
     assert!(ran.stdout.contains("val/00007.jpg: unreadable image"), "{}", ran.stdout);
     assert!(ran.error(1).contains("1 unreadable image"));
 }
+
+#[test]
+fn a_dataset_is_audited() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| word(&dir.path().join(name));
+    let set = |images: &str, more: &[&str]| {
+        let words =
+            ["datagen", "configs/presets/paper-exact.toml", "--images", images, "--set", "data.width=128", "--set", "data.height=96"];
+        let out = ["--out".to_owned(), at("set")];
+        tcross(words.iter().chain(more).map(|w| (*w).to_owned()).chain(out)).good();
+    };
+    set("400", &[]);
+    let audit = tcross(["dataset", "audit", &at("set"), "--out", &at("audit")]).good();
+    assert!(
+        audit.stdout.contains("place_x") && audit.stderr.contains("every distribution is as asked"),
+        "{}{}",
+        audit.stdout,
+        audit.stderr
+    );
+    assert!(std::fs::read_to_string(at("audit/correlations.svg")).unwrap().starts_with("<svg"));
+    // What the description says is not what is there.
+    let path = dir.path().join("set/dataset.toml");
+    let text = std::fs::read_to_string(&path).unwrap();
+    std::fs::write(&path, text.replace("width = \"int 5..60\"", "width = \"int 5..40\"")).unwrap();
+    let wrong = tcross(["dataset", "audit", &at("set")]);
+    assert!(wrong.stdout.contains("<-- differs") && wrong.error(1).contains("1 distributions differ"), "{}", wrong.stdout);
+    set("20", &[]);
+    assert!(tcross(["dataset", "audit", &at("set")]).error(1).contains("too few images"));
+}
+
+#[test]
+fn a_marker_is_drawn_to_print() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| word(&dir.path().join(name));
+    let words =
+        ["datagen", "marker", "--svg", &at("m.svg"), "--pdf", &at("m"), "--png", &at("m.png"), "--fill", "yellow", "--line", "#102030"];
+    tcross(words.iter().copied().chain(["--side-mm", "40"])).good();
+    let svg = std::fs::read_to_string(at("m.svg")).unwrap();
+    assert!(svg.contains("fill=\"#ffe100\"") && svg.contains("stroke=\"#102030\"") && svg.contains("whole diagonal"));
+    assert!(std::fs::read(at("m")).unwrap().starts_with(b"%PDF"));
+    assert_eq!(image::image_dimensions(at("m.png")).unwrap(), (500, 500));
+    assert!(tcross(["datagen", "marker"]).error(2).contains("--svg, --pdf or --png FILE is missing"));
+    assert!(tcross(["datagen", "marker", "--png", "x.png", "--fill", "gren"]).error(2).contains("#rrggbb"));
+    assert!(tcross(["datagen", "marker", "--svg", &at("n.svg"), "--side-mm", "1"]).error(1).contains("5 to 2000"));
+}
+
+#[test]
+fn a_killed_run_is_resumed_to_the_same_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    let words = |out: &str| {
+        let words = ["datagen", "configs/presets/paper-exact.toml", "--images", "2000", "--threads", "1", "--quiet", "--out"];
+        let small = ["--set", "data.width=80", "--set", "data.height=64", "--resume"];
+        words.map(str::to_owned).into_iter().chain([word(&at(out))]).chain(small.map(str::to_owned)).collect::<Vec<_>>()
+    };
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_tcross")).args(words("killed")).current_dir(root).spawn().unwrap();
+    let parts = at("killed/.parts");
+    let chunks =
+        || std::fs::read_dir(&parts).map_or(0, |d| d.flatten().filter(|e| e.path().extension().is_some_and(|x| x == "jsonl")).count());
+    while chunks() < 2 && child.try_wait().unwrap().is_none() {
+        std::thread::sleep(std::time::Duration::from_millis(2));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert!(!at("killed/dataset.toml").exists(), "it was killed before its end");
+    tcross(words("killed")).good();
+    tcross(words("whole")).good();
+    assert!(contents(&at("killed")) == contents(&at("whole")));
+}

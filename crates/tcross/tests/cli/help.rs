@@ -2,13 +2,15 @@
 use crate::tcross;
 use std::path::Path;
 
-const COMMANDS: [&str; 19] = [
+const COMMANDS: [&str; 21] = [
     "",
     "datagen",
+    "datagen marker",
     "dataset",
     "dataset check",
     "dataset stats",
     "dataset preview",
+    "dataset audit",
     "dataset verify",
     "dataset convert",
     "dataset merge",
@@ -52,7 +54,7 @@ fn every_command_is_listed_here() {
             .map(str::to_owned)
             .collect()
     };
-    for parent in ["", "dataset", "model"] {
+    for parent in ["", "datagen", "dataset", "model"] {
         for name in listed(parent) {
             let full = format!("{parent} {name}");
             assert!(COMMANDS.contains(&full.trim()), "{full} has no snapshot");

@@ -7,7 +7,7 @@ fn wrong_words_end_with_2_and_say_what_to_type() {
         (&[], "type for instance: tcross reproduce configs/quickstart.toml"),
         (&["datagen"], "<CONFIG> is missing; type for instance: tcross datagen configs/presets/hand-drawn.toml"),
         (&["datagen", "configs/ci.toml"], "--out DIR is missing; type for instance: tcross datagen"),
-        (&["dataset"], "one of check, stats, preview, verify, convert, merge, split"),
+        (&["dataset"], "one of check, stats, preview, audit, verify, convert, merge, split"),
         (&["infer", "model"], "INPUT is missing"),
         (&["reprodcue", "x"], "'reproduce'"),
         (&["train", "x", "--devcie", "cpu"], "'--device'"),

@@ -75,6 +75,7 @@ fn write_lists(dirs: &[PathBuf], out: &Path) -> Outcome {
 
 fn write_manifest(mut manifest: Manifest, out: &Path) -> Outcome {
     manifest.digests = digest::of_dataset(&Dataset::open(out)?)?;
+    tcross_datagen::card::write(&manifest, out)?;
     let text = toml::to_string(&manifest).map_err(|e| Failure::new(format!("{}: {e}", out.display())))?;
     Ok(files::write_atomically(out.join("dataset.toml"), text)?)
 }

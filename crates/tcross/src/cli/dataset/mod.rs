@@ -1,4 +1,5 @@
-//! `tcross dataset check,stats,preview,verify,convert,merge,split DIR`
+//! `tcross dataset check,stats,preview,audit,verify,convert,merge,split DIR`
+mod audit;
 mod merge;
 mod stats;
 
@@ -77,6 +78,15 @@ enum What {
         #[arg(long)]
         plain: bool,
     },
+    /// Compares what was asked for with what came out: every distribution, and every pair that should be independent
+    #[command(after_help = example("dataset audit data/hand-drawn --out audit"))]
+    Audit {
+        /// The dataset's folder, made by `tcross datagen`
+        dir: PathBuf,
+        /// Folder for audit.json and a drawing of the correlations
+        #[arg(long, value_name = "DIR")]
+        out: Option<PathBuf>,
+    },
     /// Compares every file with the digests it was written with
     #[command(after_help = example("dataset verify data/hand-drawn"))]
     Verify {
@@ -144,6 +154,7 @@ pub fn run(args: Args) -> Outcome {
             let page = contact_sheet(&open(&dir)?, split, &Sheet { images, columns, tile_px: tile, truth: !plain })?;
             page.save(out).map_err(|e| Failure::new(format!("{}: {e}", out.display())))
         }
+        What::Audit { dir, out } => audit::run(&dir, out.as_deref()),
         What::Verify { dir } => report_verify(&dir),
         What::Convert { dir, to, from, out } => {
             let out = fresh(required(&out, "--out DIR", CONVERT)?)?;

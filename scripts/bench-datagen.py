@@ -1,0 +1,97 @@
+#!/usr/bin/env python3
+"""Images a second of the generator beside a straightforward Python and OpenCV generator, taking turns in one run, and memory by image count.
+
+    cargo build --release -p tcross
+    python3 scripts/bench-datagen.py --peer ../shared/peers/gen_naive.py --photos ../shared/backgrounds [--rounds 3] [--images 600]
+
+The peer's file offers `work((seed, count, photos, out))`, which makes `count` images; it runs in two processes, as T-cross runs on two
+threads. Both read the same photos. T-cross's time is that of the whole program: start, a look at every photo for near-duplicates, lists,
+digests. Without an idle machine compare ratios; "images per CPU second" counts the processors' time and is steadier.
+Needs `pip install "opencv-python-headless<5" numpy`.
+"""
+import argparse, importlib.util, multiprocessing, os, pathlib, resource, shutil, statistics, subprocess, sys, tempfile, time
+
+ROOT = pathlib.Path(__file__).resolve().parent.parent
+
+
+def cpu():
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def timed(run):
+    start, before = time.perf_counter(), cpu()
+    run()
+    return time.perf_counter() - start, cpu() - before
+
+
+def peer(path):
+    spec = importlib.util.spec_from_file_location("peer", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def tcross(program, preset, photos, out, images, threads):
+    words = [program, "datagen", ROOT / f"configs/presets/{preset}.toml", "--out", out, "--images", images, "--threads", threads, "--quiet"]
+    if photos:
+        words += ["--backgrounds", photos]
+    child = subprocess.Popen([str(w) for w in words])
+    _, status, used = os.wait4(child.pid, 0)
+    if status != 0:
+        sys.exit("tcross failed")
+    return used.ru_maxrss / 1024
+
+
+def main():
+    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words.add_argument("--peer", type=pathlib.Path, required=True)
+    words.add_argument("--photos", type=pathlib.Path, required=True)
+    words.add_argument("--rounds", type=int, default=3)
+    words.add_argument("--images", type=int, default=600)
+    words.add_argument("--threads", type=int, default=2)
+    words.add_argument("--program", default=str(ROOT / "target/release/tcross"))
+    words.add_argument("--memory", action="store_true", help="also the most memory for a tenth, once and three times the images")
+    args = words.parse_args()
+    photos = sorted(str(p) for p in args.photos.rglob("*.jpg"))
+    naive, n = peer(args.peer), args.images
+    scratch = pathlib.Path(tempfile.mkdtemp())
+
+    def run_peer():
+        out = scratch / "peer"
+        out.mkdir(exist_ok=True)
+        share = [(k, n // args.threads, photos, str(out)) for k in range(args.threads)]
+        workers = [multiprocessing.Process(target=naive.work, args=(part,)) for part in share]
+        [w.start() for w in workers]
+        [w.join() for w in workers]
+
+    def run_tcross(preset, with_photos):
+        shutil.rmtree(scratch / "ours", ignore_errors=True)
+        tcross(args.program, preset, args.photos if with_photos else None, scratch / "ours", n, args.threads)
+
+    contenders = {
+        "peer (OpenCV)": run_peer,
+        "paper-exact, photos": lambda: run_tcross("paper-exact", True),
+        "hand-drawn, photos": lambda: run_tcross("hand-drawn", True),
+        "hand-drawn, embedded scenes": lambda: run_tcross("hand-drawn", False),
+    }
+    times = {name: [] for name in contenders}
+    for _ in range(args.rounds):
+        for name, run in contenders.items():
+            times[name].append(timed(run))
+    base = statistics.median(t[0] for t in times["peer (OpenCV)"])
+    print(f"{n} images, {args.threads} threads, {args.rounds} rounds in turns, load {os.getloadavg()[0]:.1f}\n")
+    print("| generator | images/s, median | best | images per CPU second | ratio to the peer |\n|---|---:|---:|---:|---:|")
+    for name, taken in times.items():
+        wall, best, used = statistics.median(t[0] for t in taken), min(t[0] for t in taken), min(t[1] for t in taken)
+        print(f"| {name} | {n / wall:.1f} | {n / best:.1f} | {n / used:.1f} | {base / wall:.2f} |")
+    if args.memory:
+        print("\n| images | most memory, MiB |\n|---:|---:|")
+        for count in [max(n // 10, 10), n, 3 * n]:
+            shutil.rmtree(scratch / "ours", ignore_errors=True)
+            print(f"| {count} | {tcross(args.program, 'hand-drawn', args.photos, scratch / 'ours', count, args.threads):.0f} |")
+    shutil.rmtree(scratch)
+
+
+if __name__ == "__main__":
+    main()

@@ -78,6 +78,8 @@ pub struct BackgroundConfig {
     pub mirrored: f64,
     /// Keeps photos that show nearly the same in one split. Every photo is decoded once for it before the first image.
     pub near_duplicates_together: bool,
+    /// Whether embedded scenes stand behind the markers even where photos are given.
+    pub embedded: bool,
     /// Embedded scenes by kind.
     pub scenes: Weights<SceneKind>,
 }
@@ -88,6 +90,7 @@ impl Default for BackgroundConfig {
             crop: Dist::uniform(0.5, 1.0),
             mirrored: 0.5,
             near_duplicates_together: true,
+            embedded: false,
             scenes: SceneKind::ALL.into_iter().map(|k| (k, 1.0)).collect(),
         }
     }

@@ -59,6 +59,8 @@ pub struct Config {
     pub multi_scale: Vec<usize>,
     /// Steps for which a drawn input size is kept.
     pub multi_scale_steps: u64,
+    /// Parts of the images in place of whole ones, for the first part of the training.
+    pub windows: Windows,
     /// Memory for decoded images in GB; what does not fit is decoded again each epoch.
     pub cache_gb: f64,
     /// Threads that make batches ahead of the steps.
@@ -209,6 +211,19 @@ pub enum ColorSpace {
     Hsv,
 }
 
+/// Windows: square parts of the images at their own scale, most of them around a marker. A window holds as much to learn from as the whole
+/// image, at a fraction of its price; the rest of the training then shows the network whole images, with as much background as it will meet.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Windows {
+    /// Share of the training, 0..1, of its steps or of its time, whichever is further ahead, after which images are whole; 0: always whole.
+    pub until: f64,
+    /// Side of a window in pixels of the model's input, a multiple of 32.
+    pub side: usize,
+    /// Probability that a window is laid around a marker of its image, which is scaled down where it would not fit.
+    pub focus: f64,
+}
+
 /// How pixels are sampled.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
@@ -289,6 +304,7 @@ impl Default for Config {
             empty_ratio: None,
             multi_scale: Vec::new(),
             multi_scale_steps: 10,
+            windows: Windows::default(),
             cache_gb: 4.0,
             workers: 1,
             save_minutes: 10.0,
@@ -343,6 +359,12 @@ impl Default for Augment {
     }
 }
 
+impl Default for Windows {
+    fn default() -> Self {
+        Self { until: 0.0, side: 224, focus: 0.8 }
+    }
+}
+
 impl Default for Validate {
     fn default() -> Self {
         Self { every: 1, images: 500, metric: Metric::Ap, threshold: 0.3, patience: 0, worst_every: 5 }
@@ -379,6 +401,11 @@ impl Config {
         }
         if let Some(side) = self.multi_scale.iter().find(|side| **side == 0 || **side % 32 != 0 || **side > 8192) {
             return Err(TrainError::value("multi_scale", side, "multiples of 32, at most 8192"));
+        }
+        within("windows.until", self.windows.until, 0.0, 1.0)?;
+        within("windows.focus", self.windows.focus, 0.0, 1.0)?;
+        if self.windows.side == 0 || !self.windows.side.is_multiple_of(32) || self.windows.side > 8192 {
+            return Err(TrainError::value("windows.side", self.windows.side, "a multiple of 32, at most 8192"));
         }
         within("multi_scale_steps", self.multi_scale_steps as f64, 1.0, 1e9)?;
         within("cache_gb", self.cache_gb, 0.0, 1e6)?;

@@ -1,6 +1,6 @@
 //! A whole training: open the data, build the network, step, validate, keep the best, save.
 use crate::{
-    augment::Labels,
+    augment::{Input, Labels, View},
     config::Config,
     data::{Batch, BatchMaker, Loader, Order, Request, Samples},
     device::Accelerator,
@@ -247,7 +247,7 @@ impl<'a> Session<'a> {
             let started = Instant::now();
             while loader.pending() < loader.ahead() {
                 let fraction = self.length.fraction(asked, self.progress.seconds);
-                loader.request(Request { step: asked, fraction, net: self.input_size(asked) });
+                loader.request(self.request(asked, fraction));
                 asked += 1;
             }
             let batch = loader.receive().ok_or_else(|| TrainError::state(&self.options.out, "a batch thread has died"))?;
@@ -300,7 +300,17 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
-    /// Size of the images of a step: drawn anew every few steps where several are allowed.
+    /// What a step shows, when `fraction` of the training lies before it.
+    fn request(&self, step: u64, fraction: f64) -> Request {
+        let windows = self.config.windows;
+        let (net, view) = match fraction < windows.until {
+            true => (NetSize::square(windows.side), View::Window { focus: windows.focus }),
+            false => (self.input_size(step), View::Whole),
+        };
+        Request { step, input: Input { net, view, fraction } }
+    }
+
+    /// Size of whole images at a step: drawn anew every few steps where several are allowed.
     fn input_size(&self, step: u64) -> NetSize {
         if self.config.multi_scale.is_empty() {
             return self.network.input;
@@ -330,7 +340,7 @@ impl<'a> Session<'a> {
         } else {
             return Ok(());
         };
-        let request = Request { step, fraction: self.length.fraction(step, self.progress.seconds), net: self.input_size(step) };
+        let request = self.request(step, self.length.fraction(step, self.progress.seconds));
         let batch = self.run.write_picture("batches/diverged.jpg", &draw::batch(&self.maker.clone().make(request)))?;
         self.run.log(&format!("diverged at step {step}: {what}"))?;
         Err(TrainError::Diverged { step, what, batch })

@@ -17,7 +17,9 @@ pub const COMMIT: &str = env!("TCROSS_COMMIT");
 
 /// The photos, or the embedded scenes, that a config names; unusable photos are warned of.
 pub fn backgrounds(config: &Config) -> Outcome<Backgrounds> {
-    let Some(dir) = &config.backgrounds else { return Ok(Backgrounds::embedded()) };
+    let Some(dir) = config.backgrounds.as_ref().filter(|_| !config.data.background.embedded) else {
+        return Ok(Backgrounds::embedded());
+    };
     if !dir.is_dir() {
         return Err(Failure::new(format!("{}: no such folder of backgrounds{}", dir.display(), nearest::path_hint(dir))));
     }

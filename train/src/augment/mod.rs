@@ -54,6 +54,29 @@ pub struct Picture {
     pub weight: f32,
 }
 
+/// How much of an image is shown.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum View {
+    /// All of it, brought to the input's size.
+    Whole,
+    /// A part as large as the input, at the image's own scale; around a marker with this probability.
+    Window {
+        /// 0..=1.
+        focus: f64,
+    },
+}
+
+/// What the network is to be shown at a step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Input {
+    /// Size in pixels.
+    pub net: NetSize,
+    /// How much of each image.
+    pub view: View,
+    /// Share of the training that lies before, 0..=1.
+    pub fraction: f64,
+}
+
 /// Everything about one input of the network, before a pixel is touched.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
@@ -67,6 +90,8 @@ pub struct Plan {
 const LEAST_VISIBLE: f64 = 0.3;
 /// And where no side is shorter than this many pixels.
 const LEAST_SIDE_PX: f64 = 2.0;
+/// A marker that a window is laid around covers at most this share of the window's side.
+const MOST_OF_WINDOW: f64 = 0.9;
 
 impl Plan {
     /// An image as it is, brought to the network's size.
@@ -76,11 +101,12 @@ impl Plan {
         Self { pictures: vec![Picture { tiles: vec![tile], color: Color::NONE, kernel: Kernel::Smooth, weight: 1.0 }], net }
     }
 
-    /// Draws what happens to `image` when `fraction` (0..=1) of the training is over.
+    /// Draws what happens to `image` when `fraction` (0..=1) of the training is over. Mosaics are made of whole images only.
     #[must_use]
-    pub fn sample(config: &Augment, set: &dyn Labels, image: usize, net: NetSize, fraction: f64, rng: &mut Rng) -> Self {
-        let mut draw = Draw { config, set, net, rng };
-        let mosaic = fraction < config.mosaic_until;
+    pub fn sample(config: &Augment, set: &dyn Labels, image: usize, input: Input, rng: &mut Rng) -> Self {
+        let Input { net, view, fraction } = input;
+        let mut draw = Draw { config, set, net, view, rng };
+        let mosaic = view == View::Whole && fraction < config.mosaic_until;
         let mut pictures = vec![draw.picture(image, mosaic)];
         if draw.rng.chance(config.mixup) {
             let partner = draw.rng.index(set.count());
@@ -150,6 +176,7 @@ struct Draw<'a> {
     config: &'a Augment,
     set: &'a dyn Labels,
     net: NetSize,
+    view: View,
     rng: &'a mut Rng,
 }
 
@@ -168,9 +195,12 @@ impl Draw<'_> {
         }
     }
 
-    /// An image over the whole input.
+    /// An image, or a part of it, over the whole input.
     fn tile(&mut self, image: usize) -> Tile {
-        let mut placement = Placement::rectangle(&whole(self.set.size()), &whole(self.net));
+        let mut placement = match self.view {
+            View::Whole => Placement::rectangle(&whole(self.set.size()), &whole(self.net)),
+            View::Window { focus } => self.part(image, focus),
+        };
         if self.rng.chance(self.config.expand) {
             placement = placement.then(self.expand());
         }
@@ -182,6 +212,33 @@ impl Draw<'_> {
             placement = placement.then(Placement::flip(self.net.width));
         }
         Tile { image, placement, window: whole(self.net) }
+    }
+
+    /// A window of the input's size onto the image: around a marker with probability `focus`, anywhere else.
+    fn part(&mut self, image: usize, focus: f64) -> Placement {
+        let labels = self.set.labels(image);
+        let marker = (self.rng.chance(focus) && !labels.is_empty()).then(|| labels[self.rng.index(labels.len())].bounds);
+        let (size, net) = (self.set.size(), self.net);
+        let most = MOST_OF_WINDOW * net.width.min(net.height) as f64;
+        let scale = match marker.map(|m| m.width().max(m.height())) {
+            Some(side) if side > most => most / side * self.rng.uniform(0.5, 1.0),
+            _ => 1.0,
+        };
+        // Along each axis, `low..=high` are the positions of the window's first pixel at which it lies in the image and holds the marker.
+        let mut shift = |length: usize, window: usize, marker: Option<[f64; 2]>| {
+            let (window, slack) = (window as f64, scale * length as f64 - window as f64);
+            let (mut low, mut high) = (slack.min(0.0), slack.max(0.0));
+            if let Some([first, last]) = marker {
+                low = low.max(scale * last - window).min(high);
+                high = high.min(scale * first).max(low);
+            }
+            -self.rng.uniform(low, high).round()
+        };
+        let shift = [
+            shift(size.width, net.width, marker.map(|m| [m.x_min, m.x_max])),
+            shift(size.height, net.height, marker.map(|m| [m.y_min, m.y_max])),
+        ];
+        Placement { scale: [scale; 2], shift }
     }
 
     /// The input becomes a part of a larger canvas, which is brought back to the input's size.
@@ -307,15 +364,46 @@ mod tests {
         }
     }
 
+    fn early(side: usize) -> Input {
+        Input { net: NetSize::square(side), view: View::Whole, fraction: 0.1 }
+    }
+
+    /// A window shows its marker whole and as large as it is, or scaled down where it does not fit, with its label around its pixels.
+    #[test]
+    fn windows_hold_their_marker() {
+        let set = Toy::new(12);
+        let config = Augment { flip: 0.0, gain: 0.0, shift: 0.0, ..Augment::default() };
+        let (mut places, mut scaled) = (std::collections::BTreeSet::new(), 0);
+        for position in 0..240_u64 {
+            let side = if position % 2 == 0 { 32 } else { 16 };
+            let input = Input { net: NetSize::square(side), view: View::Window { focus: 1.0 }, fraction: 0.0 };
+            let image = (position % 12) as usize;
+            let mut rng = Rng::for_item(3, "test/windows", position);
+            let plan = Plan::sample(&config, &set, image, input, &mut rng);
+            let mut out = vec![0.0; 3 * side * side];
+            let truths = plan.render(&set, &mut |i| Some(set.image(i)), &mut out);
+            let (seen, own) = (&truths[0].bounds, &set.labels[image][0].bounds);
+            let fits = own.width().max(own.height()) <= 0.9 * side as f64;
+            let expected = [own.width(), own.height()].map(|length| length as f32 / side as f32);
+            assert_eq!(fits, [seen.w, seen.h] == expected, "{seen:?} of {own:?}");
+            assert!(seen.w <= 0.91 && seen.h <= 0.91 && truths.len() == 1, "{seen:?}");
+            let white = out[..side * side].iter().filter(|v| **v > 0.9).count() as f32;
+            let area = seen.w * seen.h * (side * side) as f32;
+            assert!((white - area).abs() <= if fits { 0.5 } else { 2.5 * (seen.w + seen.h) * side as f32 }, "{white} of {area}");
+            scaled += usize::from(!fits);
+            places.insert((seen.x * 64.0) as i32);
+        }
+        assert!(scaled > 20 && places.len() > 20, "{scaled} {places:?}");
+    }
+
     /// Whatever is drawn, each truth lies exactly around white pixels, and there is no white outside the truths that are whole.
     #[test]
     fn labels_move_with_the_pixels() {
         let (set, config) = (Toy::new(12), everything());
-        let net = NetSize::square(96);
         let mut seen = 0;
         for position in 0..300 {
             let mut rng = Rng::for_item(5, "test/augment", position);
-            let plan = Plan::sample(&config, &set, (position % 12) as usize, net, 0.1, &mut rng);
+            let plan = Plan::sample(&config, &set, (position % 12) as usize, early(96), &mut rng);
             let mut out = vec![0.0; 3 * 96 * 96];
             let truths = plan.render(&set, &mut |i| Some(set.image(i)), &mut out);
             for truth in &truths {
@@ -348,7 +436,7 @@ mod tests {
     fn the_same_draw_gives_the_same_plan() {
         let set = Toy::new(5);
         let config = Augment { mixup: 0.5, ..everything() };
-        let plan = |index| Plan::sample(&config, &set, 2, NetSize::square(64), 0.5, &mut Rng::for_item(9, "test/plan", index));
+        let plan = |index| Plan::sample(&config, &set, 2, early(64), &mut Rng::for_item(9, "test/plan", index));
         assert_eq!(plan(3), plan(3));
         assert_ne!(plan(3), plan(4));
     }
@@ -357,7 +445,7 @@ mod tests {
     fn mixing_adds_pictures_and_truths_by_weight() {
         let set = Toy::new(2);
         let config = Augment { flip: 0.0, gain: 0.0, shift: 0.0, mixup: 1.0, ..Augment::default() };
-        let plan = Plan::sample(&config, &set, 0, NetSize::square(64), 0.0, &mut Rng::for_item(1, "test/mix", 0));
+        let plan = Plan::sample(&config, &set, 0, early(64), &mut Rng::for_item(1, "test/mix", 0));
         let mut out = vec![0.0; 3 * 4096];
         let truths = plan.render(&set, &mut |i| Some(set.image(i)), &mut out);
         let (a, b) = (plan.pictures[0].weight, plan.pictures[1].weight);

@@ -1,7 +1,7 @@
 //! Batches, made by threads of their own while the steps compute.
 use super::{order::Order, samples::Samples};
 use crate::{
-    augment::{Labels, Plan},
+    augment::{Input, Labels, Plan},
     config::Augment,
 };
 use std::{
@@ -33,10 +33,8 @@ pub struct Batch {
 pub struct Request {
     /// 0-based.
     pub step: u64,
-    /// Share of the training that lies before it, 0..=1.
-    pub fraction: f64,
-    /// Size of the images.
-    pub net: NetSize,
+    /// What it shows.
+    pub input: Input,
 }
 
 /// Makes batches: each a function of (seed, request) alone.
@@ -57,14 +55,15 @@ pub struct BatchMaker {
 impl BatchMaker {
     /// Makes one batch.
     pub fn make(&mut self, request: Request) -> Batch {
-        let Request { step, fraction, net } = request;
+        let Request { step, input } = request;
+        let net = input.net;
         let length = 3 * net.width * net.height;
         let mut images = vec![0.0; self.batch * length];
         let truths = images.chunks_exact_mut(length).enumerate().map(|(k, out)| {
             let position = step * self.batch as u64 + k as u64;
             let mut rng = Rng::for_item(self.seed, "train/augment", position);
             let set: &dyn Labels = &*self.samples;
-            let plan = Plan::sample(&self.augment, set, self.order.at(position), net, fraction, &mut rng);
+            let plan = Plan::sample(&self.augment, set, self.order.at(position), input, &mut rng);
             plan.render(set, &mut |index| self.samples.read(index), out)
         });
         let truths = truths.collect();
@@ -150,7 +149,7 @@ impl Drop for Loader {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::toy;
+    use crate::{augment::View, toy};
     use tcross_dataset::{Dataset, Split};
 
     #[test]
@@ -166,7 +165,10 @@ mod tests {
             batch: 4,
             seed: 3,
         };
-        let request = |step| Request { step, fraction: 0.0, net: NetSize::square(if step % 2 == 0 { 32 } else { 64 }) };
+        let request = |step| {
+            let (net, view) = if step % 2 == 0 { (32, View::Whole) } else { (64, View::Window { focus: 0.5 }) };
+            Request { step, input: Input { net: NetSize::square(net), view, fraction: 0.0 } }
+        };
         let alone: Vec<Batch> = (0..6).map(|step| maker.make(request(step))).collect();
         let mut loader = Loader::start(&maker, 3);
         (0..6).for_each(|step| loader.request(request(step)));

@@ -13,7 +13,8 @@ use tcross_kernels::allocator::Pool;
 use tcross_train::{
     Accelerator, Config,
     config::{Optimizer, OptimizerKind},
-    data::Batch,
+    augment::{Input, View},
+    data::{Batch, Request},
     step::Trainer,
 };
 use tcross_yolo::{Architecture, ModelConfig, NetSize, NormBox, Truth, Weights};
@@ -47,7 +48,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         if line?.trim() == "end" {
             break;
         }
-        let made = Batch { step: step as u64, net, images: images.clone(), truths: truths.clone() };
+        let input = Input { net, view: View::Whole, fraction: 0.0 };
+        let request = Request { step: step as u64, input };
+        let made = Batch { request, sources: Vec::new(), images: images.clone(), truths: truths.clone() };
         let start = Instant::now();
         trainer.step(made, 1e-4, step as u64)?;
         println!("{:.6}", start.elapsed().as_secs_f64());

@@ -390,7 +390,6 @@ impl Config {
         }
         within("ignore_iou", self.ignore_iou, 0.0, 1.0)?;
         within("assign_iou", self.assign_iou, 0.0, 1.0)?;
-        within("assign_iou", self.assign_iou, 0.0, 1.0)?;
         within("objectness_bias", self.objectness_bias, -30.0, 30.0)?;
         within("class_bias", self.class_bias, -30.0, 30.0)?;
         within("clip", self.clip, 1e-6, 1e9)?;

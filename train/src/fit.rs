@@ -4,6 +4,7 @@ use crate::{
     config::Config,
     data::{Batch, BatchMaker, Loader, Order, Request, Samples},
     device::Accelerator,
+    divergence,
     ema::Ema,
     error::TrainError,
     memory::Estimate,
@@ -14,23 +15,20 @@ use crate::{
         state::{self, State, Sums},
     },
     schedule::Length,
+    start,
     step::{StepOutput, Trainer},
     validation::{Validator, metric},
 };
 use std::{
-    path::{Path, PathBuf},
+    path::PathBuf,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
     },
-    time::Instant,
+    time::{Duration, Instant},
 };
-use tcross_dataset::{Dataset, Rng, Split, files};
-use tcross_yolo::{
-    AnchorChoice, BoxConvention, LossTerms, ModelConfig, ModelSection, NetSize, Weights, anchors,
-    config::AnchorSource,
-    weights::{Init, darknet, safetensors},
-};
+use tcross_dataset::{Dataset, Rng, Split, dataset::BoxConvention};
+use tcross_yolo::{LossTerms, ModelConfig, ModelSection, NetSize, Weights};
 
 /// How and where a training runs; nothing here changes what it learns.
 #[derive(Debug, Clone)]
@@ -128,7 +126,7 @@ struct Session<'a> {
     ema: Ema,
     maker: BatchMaker,
     val: Option<Samples>,
-    boxes: tcross_dataset::dataset::BoxConvention,
+    boxes: BoxConvention,
     length: Length,
     run: RunDir,
     history: History,
@@ -153,23 +151,23 @@ impl<'a> Session<'a> {
         for warning in train.take_warnings().iter().chain(&val.as_ref().map(Samples::take_warnings).unwrap_or_default()) {
             progress(Progress::Warning(warning));
         }
-        let (network, anchor_iou) = describe(config, model, dataset, &train, options.seed)?;
+        let (network, anchor_iou) = start::describe(config, model, dataset, &train, options.seed)?;
         let marked: Vec<bool> = (0..train.count()).map(|k| !train.labels(k).is_empty()).collect();
         let order = Order::new(options.seed, &marked, config.empty_ratio);
         let memory = Estimate::of(config, &network, train.count() + val.as_ref().map_or(0, Samples::count))?;
         memory.check()?;
 
         let graph = network.graph()?;
-        let identity = identity(config, &network, dataset, options.seed)?;
+        let identity = start::identity(config, &network, dataset, options.seed)?;
         let state_path = options.out.join("state/state.safetensors");
-        let mut start = None;
+        let mut source = None;
         let resumed =
             (options.resume && RunDir::is_taken(&options.out)).then(|| State::read(&state_path, &identity, &graph)).transpose()?;
         let state = match resumed {
             Some(state) => state,
             None => {
-                let (weights, source) = start_weights(config, &network, options.seed)?;
-                start = Some(source);
+                let (weights, words) = start::weights(config, &network, options.seed)?;
+                source = Some(words);
                 State { progress: state::Progress::start(identity), average: weights.clone(), weights, slots: Vec::new() }
             }
         };
@@ -185,6 +183,7 @@ impl<'a> Session<'a> {
             anchor_iou,
             parameters: graph.parameters(),
             memory: &memory,
+            weights: source.as_deref(),
             step: state.progress.step,
         });
         let session = Self {
@@ -203,7 +202,7 @@ impl<'a> Session<'a> {
             network,
         };
         session.describe_run(model, &memory)?;
-        start.iter().try_for_each(|source| session.run.log(&format!("weights: {source}")))?;
+        source.iter().try_for_each(|source| session.run.log(&format!("weights: {source}")))?;
         Ok(session)
     }
 
@@ -232,10 +231,15 @@ impl<'a> Session<'a> {
     }
 
     fn run(&mut self, progress: &mut dyn FnMut(Progress)) -> Result<End, TrainError> {
-        let mut loader = Loader::start(&self.maker, self.config.workers);
+        if self.out_of_patience() {
+            return Ok(End::EarlyStopped); // it had ended before it was resumed
+        }
+        // Where there is one thread only, it makes the batches too.
+        let mut loader = Loader::start(&self.maker, self.config.workers.min(rayon::current_num_threads() - 1));
         let mut asked = self.progress.step;
         loop {
-            let fraction = self.length.fraction(self.progress.step, self.progress.seconds);
+            let length = self.planned();
+            let fraction = length.fraction(self.progress.step, self.progress.seconds);
             if fraction >= 1.0 {
                 return self.finish(End::Finished, progress);
             }
@@ -246,7 +250,7 @@ impl<'a> Session<'a> {
             }
             let started = Instant::now();
             while loader.pending() < loader.ahead() {
-                let fraction = self.length.fraction(asked, self.progress.seconds);
+                let fraction = length.fraction(asked, self.progress.seconds);
                 loader.request(self.request(asked, fraction));
                 asked += 1;
             }
@@ -263,6 +267,21 @@ impl<'a> Session<'a> {
         }
     }
 
+    /// The length, with the clock's end early enough for the validation that follows the last step.
+    fn planned(&self) -> Length {
+        let p = &self.progress;
+        // Before the first validation: a forward pass takes a third of a step's time.
+        let images = p.sums.steps as f64 * self.config.batch as f64;
+        let guess = self.val.as_ref().map_or(0.0, |val| val.count() as f64) * p.sums.seconds / (3.0 * images).max(1.0);
+        let reserve = p.validation_seconds.unwrap_or(guess);
+        Length { max_seconds: self.length.max_seconds.map(|limit| (limit - reserve).max(0.5 * limit)), ..self.length }
+    }
+
+    fn out_of_patience(&self) -> bool {
+        let patience = self.config.validate.patience;
+        patience > 0 && self.progress.since_best >= patience
+    }
+
     fn step(
         &mut self,
         batch: Batch,
@@ -271,12 +290,13 @@ impl<'a> Session<'a> {
         waited: f64,
         progress: &mut dyn FnMut(Progress),
     ) -> Result<(), TrainError> {
-        let step = self.progress.step;
+        let (step, request, images) = (self.progress.step, batch.request, batch.truths.len());
         let rate = self.config.optimizer.rate * self.config.schedule.factor(step, fraction, &self.length);
-        let images = batch.truths.len();
         let output = self.trainer.step(batch, rate, step)?;
-        self.check_divergence(&output)?;
-        self.ema.update(&self.trainer.weights(), step);
+        self.check_divergence(request, rate, &output)?;
+        if self.config.ema > 0.0 {
+            self.ema.update(&self.trainer.weights(), step);
+        }
         let taken = started.elapsed().as_secs_f64();
         let p = &mut self.progress;
         p.step += 1;
@@ -285,17 +305,18 @@ impl<'a> Session<'a> {
         for warning in self.maker.samples.take_warnings() {
             progress(Progress::Warning(&warning));
         }
+        let (length, p) = (self.planned(), &self.progress);
         progress(Progress::Step(StepReport {
             step: p.step,
             total_steps: self.length.total_steps,
             epoch: p.step as f64 / self.length.steps_per_epoch,
-            fraction: self.length.fraction(p.step, p.seconds),
+            fraction: length.fraction(p.step, p.seconds),
             loss: output.terms,
             rate,
             images_per_second: images as f64 / taken,
             waiting: waited / taken,
             seconds: p.seconds,
-            seconds_left: self.length.seconds_left(p.step, p.seconds),
+            seconds_left: length.seconds_left(p.step, p.seconds),
         }));
         Ok(())
     }
@@ -320,28 +341,19 @@ impl<'a> Session<'a> {
     }
 
     fn draw_first(&self, batch: &Batch) -> Result<(), TrainError> {
-        if batch.step < self.config.drawn_batches as u64 {
-            self.run.write_picture(&format!("batches/{:05}.jpg", batch.step), &draw::batch(batch))?;
+        let step = batch.request.step;
+        if step < self.config.drawn_batches as u64 {
+            self.run.write_picture(&format!("batches/{step:05}.jpg"), &draw::batch(batch))?;
         }
         Ok(())
     }
 
-    /// A loss that is no number, or a thousand times the usual one, ends the training with its batch drawn.
-    fn check_divergence(&mut self, output: &StepOutput) -> Result<(), TrainError> {
-        let (step, total, usual) = (self.progress.step, output.terms.total(), self.progress.usual_loss);
-        // One wild batch moves the usual loss by a tenth at most.
-        self.progress.usual_loss = if step == 0 { total } else { 0.99 * usual + 0.01 * total.min(10.0 * usual) };
-        let what = if !total.is_finite() {
-            format!("the loss is {total}")
-        } else if !output.gradient_norm.is_finite() {
-            format!("the gradient's norm is {}", output.gradient_norm)
-        } else if step > 0 && total > 1000.0 * usual {
-            format!("the loss is {total:.3}, usually {usual:.3}")
-        } else {
-            return Ok(());
-        };
-        let request = self.request(step, self.length.fraction(step, self.progress.seconds));
-        let batch = self.run.write_picture("batches/diverged.jpg", &draw::batch(&self.maker.clone().make(request)))?;
+    /// Ends a training that has gone astray, with its batch written down.
+    fn check_divergence(&mut self, request: Request, rate: f64, output: &StepOutput) -> Result<(), TrainError> {
+        let step = request.step;
+        let Some(what) = divergence::judge(output, step, &mut self.progress.usual_loss) else { return Ok(()) };
+        let batch = self.maker.make(request);
+        let batch = divergence::write(&self.run, &self.maker.samples, &batch, rate, output, &what)?;
         self.run.log(&format!("diverged at step {step}: {what}"))?;
         Err(TrainError::Diverged { step, what, batch })
     }
@@ -356,40 +368,53 @@ impl<'a> Session<'a> {
     /// Validates, writes numbers and weights; true if training should stop for want of progress.
     fn end_epoch(&mut self, progress: &mut dyn FnMut(Progress)) -> Result<bool, TrainError> {
         let started = Instant::now();
+        self.settle();
         let mut row = self.progress.sums.row();
         row.step = self.progress.step;
         row.epoch = row.step as f64 / self.length.steps_per_epoch;
-        let fraction = self.length.fraction(row.step.saturating_sub(1), self.progress.seconds);
+        let fraction = self.planned().fraction(row.step.saturating_sub(1), self.progress.seconds);
         row.rate = self.config.optimizer.rate * self.config.schedule.factor(row.step.saturating_sub(1), fraction, &self.length);
         row.images_per_second *= self.config.batch as f64;
-        let value = self.validate(&mut row, progress)?;
+        let (value, network) = self.validate(&mut row, progress)?;
+        let (validated, steps_took) = (started.elapsed(), self.progress.sums.seconds);
         let p = &mut self.progress;
         p.validations += 1;
         p.sums = Sums::default();
-        p.seconds += started.elapsed().as_secs_f64();
-        row.seconds = p.seconds;
+        row.seconds = p.seconds + validated.as_secs_f64();
         let best = value.is_some_and(|v| p.best.is_none_or(|(b, _)| v > b));
-        p.since_best = if best { 0 } else { p.since_best + 1 };
         if let (true, Some(value)) = (best, value) {
             p.best = Some((value, row.step));
         }
         // Without a validation split the last weights are the best that is known.
         if best || self.val.is_none() {
+            p.since_best = 0;
             self.write_weights("best.safetensors")?;
+        } else {
+            p.since_best += 1;
         }
         self.history.rows.push(row);
         self.run.write_history(&self.history)?;
-        let scalars: Vec<(&str, f64)> = row.columns().into_iter().filter_map(|(name, value)| Some((name, value?))).collect();
-        self.run.scalars(row.step, row.seconds, &scalars)?;
+        self.run.scalars(row.step, row.seconds, &row.tags())?;
+        let took = started.elapsed();
+        self.progress.seconds += took.as_secs_f64();
+        self.progress.validation_seconds = Some(took.as_secs_f64());
+        let rest = took.saturating_sub(network).as_secs_f64();
+        self.run.log(&format!(
+            "step {}: validation took {:.2} s, {:.2} s of it the network; the rest, curves and best weights included, is {:.2} % of the {:.1} s of steps before it",
+            row.step,
+            took.as_secs_f64(),
+            network.as_secs_f64(),
+            100.0 * rest / steps_took.max(1e-9),
+            steps_took
+        ))?;
         self.save()?;
         progress(Progress::Epoch { row: &row, best });
-        let patience = self.config.validate.patience;
-        Ok(patience > 0 && self.progress.since_best >= patience)
+        Ok(self.out_of_patience())
     }
 
-    /// Fills in a row's scores and returns the metric.
-    fn validate(&mut self, row: &mut Row, progress: &mut dyn FnMut(Progress)) -> Result<Option<f64>, TrainError> {
-        let Some(samples) = &self.val else { return Ok(None) };
+    /// Fills in a row's scores and returns the metric, and how long the network took.
+    fn validate(&mut self, row: &mut Row, progress: &mut dyn FnMut(Progress)) -> Result<(Option<f64>, Duration), TrainError> {
+        let Some(samples) = &self.val else { return Ok((None, Duration::ZERO)) };
         progress(Progress::Validating { images: samples.count() });
         let validator = Validator {
             samples,
@@ -400,7 +425,7 @@ impl<'a> Session<'a> {
             config: &self.config.validate,
             classes: &self.config.classes,
         };
-        let detections = validator.detections(&self.ema.weights)?;
+        let (detections, network) = validator.detections(&self.ema.weights)?;
         let scores = validator.score(&detections);
         row.scores = history::scores(&scores);
         let every = self.config.validate.worst_every;
@@ -408,7 +433,7 @@ impl<'a> Session<'a> {
             self.run.write_picture(&format!("batches/worst-{:05}.jpg", row.step), &validator.worst(&detections))?;
         }
         samples.take_warnings().iter().for_each(|warning| progress(Progress::Warning(warning)));
-        Ok(metric(&scores, self.config.validate.metric))
+        Ok((metric(&scores, self.config.validate.metric), network))
     }
 
     fn finish(&mut self, end: End, progress: &mut dyn FnMut(Progress)) -> Result<End, TrainError> {
@@ -426,7 +451,15 @@ impl<'a> Session<'a> {
         self.run.write_weights(name, &self.network, &weights)
     }
 
+    /// Without a moving average the weights themselves are validated and kept.
+    fn settle(&mut self) {
+        if self.config.ema == 0.0 {
+            self.ema.weights = self.trainer.weights();
+        }
+    }
+
     fn save(&mut self) -> Result<(), TrainError> {
+        self.settle();
         self.write_weights("last.safetensors")?;
         let path = self.run.path("state/state.safetensors");
         State::write(&path, &self.progress, &self.trainer.weights(), &self.ema, self.trainer.slots())?;
@@ -450,74 +483,4 @@ impl Sums {
         let loss = LossTerms { center, size, objectness, class, keypoints };
         Row { loss, gradient_norm, images_per_second: self.steps as f64 / self.seconds.max(1e-9), ..Row::default() }
     }
-}
-
-/// The network's complete description, with its anchors, and how well k-means' anchors fit.
-fn describe(
-    config: &Config,
-    model: &ModelSection,
-    dataset: &Dataset,
-    train: &Samples,
-    seed: u64,
-) -> Result<(ModelConfig, Option<f64>), TrainError> {
-    if model.classes > 1 && config.classes.len() != model.classes {
-        let found = format!("{} names", config.classes.len());
-        return Err(TrainError::value("classes", found, format!("{} (model.classes), so that shapes can be numbered", model.classes)));
-    }
-    let coco = model.architecture.coco_anchors();
-    let (anchors, fit) = match &model.anchors {
-        AnchorChoice::List(list) => (list.clone(), None),
-        AnchorChoice::Named(AnchorSource::Coco) => (coco, None),
-        AnchorChoice::Named(AnchorSource::Kmeans) => {
-            let sizes = train.box_sizes();
-            if sizes.is_empty() {
-                return Err(TrainError::Empty { path: dataset.list_path(Split::Train), what: "marker to take anchors from".into() });
-            }
-            let fit = anchors::kmeans(&sizes, coco.len(), seed)?;
-            (fit.anchors, Some(fit.mean_iou))
-        }
-    };
-    let boxes = match dataset.header.boxes {
-        tcross_dataset::dataset::BoxConvention::Continuous => BoxConvention::Continuous,
-        tcross_dataset::dataset::BoxConvention::Inclusive => BoxConvention::Inclusive,
-    };
-    let names = if config.classes.len() == model.classes { config.classes.clone() } else { Vec::new() };
-    let network = ModelConfig { names, ..model.resolve(anchors, boxes) };
-    network.validate()?;
-    Ok((network, fit))
-}
-
-/// Random weights, or those of the file that training starts from; and in words, what they are.
-fn start_weights(config: &Config, network: &ModelConfig, seed: u64) -> Result<(Weights, String), TrainError> {
-    let graph = network.graph()?;
-    let init = Init { objectness_bias: config.objectness_bias as f32, class_bias: config.class_bias as f32, ..Init::default() };
-    let mut weights = Weights::init(&graph, &network.fields(), &init, seed);
-    let Some(path) = &config.init else { return Ok((weights, format!("random, from seed {seed}"))) };
-    if Path::new(path).extension().is_some_and(|e| e == "safetensors") {
-        return Ok((safetensors::read(path, &graph)?, format!("all of {path}")));
-    }
-    let loaded = darknet::read_start(path, network, &mut weights)?;
-    Ok((weights, format!("{} of {} convolutions from {path}, the others random from seed {seed}", loaded.convolutions, loaded.of)))
-}
-
-/// Everything that a resumed training must share with the one that was stopped, a line each: all settings but the lengths and those that
-/// do not change what is learned, the network, the data's digests.
-fn identity(config: &Config, network: &ModelConfig, dataset: &Dataset, seed: u64) -> Result<String, TrainError> {
-    let fixed = Config::default();
-    let config = Config {
-        epochs: None,
-        steps: None,
-        max_minutes: None,
-        cache_gb: fixed.cache_gb,
-        workers: fixed.workers,
-        save_minutes: fixed.save_minutes,
-        drawn_batches: fixed.drawn_batches,
-        ..config.clone()
-    };
-    let text = |value: Result<String, toml::ser::Error>| value.map_err(|e| TrainError::state(&dataset.dir, e));
-    let mut identity = format!("seed = {seed}\n{}{}", text(toml::to_string(&config))?, text(toml::to_string(network))?);
-    for split in dataset.splits().into_iter().filter(|split| *split != Split::Test) {
-        identity.push_str(&format!("{split}.jsonl = {}\n", files::digest(dataset.list_path(split))?));
-    }
-    Ok(identity)
 }

@@ -19,6 +19,8 @@ pub enum Progress<'a> {
         parameters: usize,
         /// What it will need.
         memory: &'a Estimate,
+        /// Where the weights come from; none after a resume.
+        weights: Option<&'a str>,
         /// The step that training starts from: above 0 after a resume.
         step: u64,
     },

@@ -68,11 +68,12 @@ impl Trainer {
     /// If a truth is out of range.
     pub fn step(&mut self, batch: Batch, rate: f64, step: u64) -> Result<StepOutput, TrainError> {
         let network = self.network.take().expect("every step puts the network back");
-        let shape = [batch.truths.len(), 3, batch.net.height, batch.net.width];
+        let net = batch.request.input.net;
+        let shape = [batch.truths.len(), 3, net.height, net.width];
         let images = Tensor::from_data(TensorData::new(batch.images, shape), &self.device);
         let heads = network.forward(images);
         let logits: Vec<Vec<f32>> = heads.iter().map(read_logits).collect();
-        let output = match self.loss.evaluate(&self.model.geometry(batch.net), &logits, &batch.truths) {
+        let output = match self.loss.evaluate(&self.model.geometry(net), &logits, &batch.truths) {
             Ok(output) => output,
             Err(error) => {
                 self.network = Some(network);

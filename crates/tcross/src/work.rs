@@ -51,9 +51,12 @@ pub fn train(config: &Config, data: &Path, options: &tcross_train::RunOptions) -
     // Thousandths: the number of steps is not always known beforehand.
     let mut bar = Progress::new("train", 1000);
     let summary = tcross_train::fit(&config.train, &config.model, &dataset, options, &mut |news| match news {
-        Opened { train, val, parameters, memory, anchor_iou, step, .. } => {
+        Opened { train, val, parameters, memory, anchor_iou, weights, step, .. } => {
             let fit = anchor_iou.map_or(String::new(), |iou| format!(", anchors fit with IoU {iou:.2}"));
             console::note(&format!("train: {train} images, {val} to validate, {parameters} parameters{fit}; memory: {memory}"));
+            if let Some(weights) = weights {
+                console::note(&format!("train: weights: {weights}"));
+            }
             if step > 0 {
                 console::note(&format!("train: goes on after step {step}"));
             }

@@ -29,13 +29,12 @@ pub fn kmeans(sizes: &[[f32; 2]], count: usize, seed: u64) -> Result<AnchorFit, 
     if sizes.is_empty() || count == 0 {
         return Err(YoloError::value("boxes for anchors", format!("{} boxes for {count} anchors", sizes.len()), "at least one of each"));
     }
-    let fits = (0..STARTS).map(|start| {
+    let fit = |start| {
         let mut centres = spread(&sizes, count, &mut Rng::for_item(seed, "yolo/anchors", start));
         refine(&sizes, &mut centres);
         AnchorFit { mean_iou: mean_iou(&sizes, &centres), anchors: centres }
-    });
-    let best = fits.reduce(|a, b| if b.mean_iou > a.mean_iou { b } else { a });
-    let mut best = best.expect("at least one start");
+    };
+    let mut best = (1..STARTS).map(fit).fold(fit(0), |best, other| if other.mean_iou > best.mean_iou { other } else { best });
     best.anchors.sort_by(|a, b| (a[0] * a[1]).total_cmp(&(b[0] * b[1])).then(a[0].total_cmp(&b[0])));
     Ok(best)
 }

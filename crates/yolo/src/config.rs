@@ -6,6 +6,7 @@ use crate::{
     graph::{Conv, Graph, Layer},
 };
 use serde::{Deserialize, Serialize};
+pub use tcross_dataset::dataset::BoxConvention;
 
 /// Epsilon inside the root of batch norm: what Darknet's GPU code, which trained the published weights, and PyTorch use.
 pub const BATCH_NORM_EPSILON: f64 = 1e-5;
@@ -95,34 +96,22 @@ impl Architecture {
     }
 }
 
+impl std::fmt::Display for Architecture {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::YoloV3 => "yolov3",
+            Self::YoloV3Tiny => "yolov3-tiny",
+            Self::DarknetCfg => "darknet-cfg",
+        })
+    }
+}
+
 /// Anchors of each head.
 const ANCHORS_A_HEAD: usize = 3;
 
 /// Which anchors (small ones first) belong to which of so many heads (coarse first).
 fn masks(heads: usize) -> Vec<Vec<usize>> {
     (0..heads).rev().map(|head| (ANCHORS_A_HEAD * head..ANCHORS_A_HEAD * (head + 1)).collect()).collect()
-}
-
-/// How boxes of the dataset count pixels.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum BoxConvention {
-    /// Edges between pixels: width = x_max - x_min.
-    #[default]
-    Continuous,
-    /// Pixel indices, both ends in (the paper): training adds 1 to the maxima, detection takes it off again.
-    Inclusive,
-}
-
-impl BoxConvention {
-    /// What is added to the maxima of a box to make it continuous, in source pixels.
-    #[must_use]
-    pub fn extra(self) -> f64 {
-        match self {
-            Self::Continuous => 0.0,
-            Self::Inclusive => 1.0,
-        }
-    }
 }
 
 /// Where a model's anchors come from.
@@ -303,6 +292,26 @@ impl ModelConfig {
     #[must_use]
     pub fn of(architecture: Architecture) -> Self {
         ModelSection { architecture, width: 1.0, ..Default::default() }.resolve(architecture.coco_anchors(), BoxConvention::Continuous)
+    }
+
+    /// In a few words, such as `yolov3 x 0.125 with 1 class(es)`. Whatever differs from the published network besides its width is told as a
+    /// variant: `yolov3 x 0.125, variant with heads of stride 16, 8, 4, with 1 class(es)`.
+    #[must_use]
+    pub fn summary(&self) -> String {
+        let mut variant = Vec::new();
+        if self.architecture != Architecture::DarknetCfg && self.heads != self.architecture.strides() {
+            let strides: Vec<String> = self.heads.iter().map(ToString::to_string).collect();
+            variant.push(format!("heads of stride {}", strides.join(", ")));
+        }
+        if self.depth != 1.0 {
+            variant.push(format!("depth x {}", self.depth));
+        }
+        if self.keypoints > 0 {
+            variant.push(format!("{} keypoint(s) a box", self.keypoints));
+        }
+        let variant = if variant.is_empty() { String::new() } else { format!(", variant with {},", variant.join(" and ")) };
+        let width = if self.architecture == Architecture::DarknetCfg { String::new() } else { format!(" x {}", self.width) };
+        format!("{}{width}{variant} with {} class(es)", self.architecture, self.classes)
     }
 
     /// What a box of this model carries.
@@ -528,6 +537,14 @@ mod tests {
             let section = ModelSection { heads: bad.to_vec(), ..Default::default() };
             assert!(section.validate().unwrap_err().to_string().contains("model.heads"));
         }
+    }
+
+    #[test]
+    fn variants_are_named_so() {
+        assert_eq!(ModelConfig::of(Architecture::YoloV3Tiny).summary(), "yolov3-tiny x 1 with 1 class(es)");
+        let section = ModelSection { heads: vec![16, 8, 4], keypoints: 5, ..Default::default() };
+        let fine = section.resolve(vec![[1.0; 2]; 9], BoxConvention::Continuous).summary();
+        assert_eq!(fine, "yolov3 x 0.125, variant with heads of stride 16, 8, 4 and 5 keypoint(s) a box, with 1 class(es)");
     }
 
     #[test]

@@ -64,6 +64,18 @@ pub enum YoloError {
         /// Classes of the file.
         found: usize,
     },
+    /// A weights file of another published network.
+    #[error("{path} holds {found}: expected {expected} ({source})")]
+    Architecture {
+        /// The file.
+        path: PathBuf,
+        /// What it is, by its length.
+        found: String,
+        /// What the description asks for.
+        expected: String,
+        /// Where reading failed.
+        source: Box<YoloError>,
+    },
     /// A tensor of a safetensors file, or a convolution's parameters, of the wrong shape or kind, missing, or not known.
     #[error("{path}: tensor '{name}': expected {expected}, found {found}")]
     Tensor {

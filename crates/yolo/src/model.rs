@@ -3,7 +3,7 @@ use crate::{
     config::{MODEL_FORMAT, ModelConfig},
     error::YoloError,
     graph::{Graph, Layer},
-    weights::{Weights, cfg, darknet, fold, onnx, safetensors},
+    weights::{Loaded, Weights, cfg, darknet, fold, onnx, safetensors},
 };
 use std::path::{Path, PathBuf};
 use tcross_dataset::files;
@@ -92,6 +92,30 @@ impl Model {
         config.names = names_beside(cfg, config.classes);
         let weights = darknet::read_model(weights, &config)?;
         Ok(Self { config, weights })
+    }
+
+    /// Takes in the weights of another program, whole or cut (`NAME.conv.N`): what [`Self::load`] reads, or a Darknet weights file that belongs
+    /// to `cfg`. Of a cut, and where the file has another number of classes than the cfg, the layers that it does not hold are random, drawn
+    /// from `seed`.
+    ///
+    /// # Errors
+    /// As [`Self::load`]; and if the file fits the cfg in none of these ways.
+    pub fn import(path: impl AsRef<Path>, cfg: Option<&Path>, seed: u64) -> Result<(Self, Loaded), YoloError> {
+        let path = path.as_ref();
+        let Some(cfg) = cfg else {
+            if darknet::cut_of(path).is_some() {
+                return Err(YoloError::broken(path, "is a cut, which does not say of which network: name its cfg"));
+            }
+            let model = Self::load(path)?;
+            let layers: Vec<usize> = model.config.graph()?.convolutions().map(|(layer, _)| layer).collect();
+            let of = layers.len();
+            return Ok((model, Loaded { layers, of }));
+        };
+        let mut config = cfg::read(cfg)?;
+        config.names = names_beside(cfg, config.classes);
+        let mut weights = Weights::init(&config.graph()?, &config.fields(), &Default::default(), seed);
+        let loaded = darknet::read_start(path, &config, &mut weights)?;
+        Ok((Self { config, weights }, loaded))
     }
 
     /// Writes `path` (`.safetensors`) and `model.toml` beside it.
@@ -265,6 +289,23 @@ mod tests {
         assert_eq!(Model::load(dir.path().join("net.cfg")).unwrap().config.names, ["marker"]);
         std::fs::write(dir.path().join("data.names"), "marker\ncar\n").unwrap();
         assert!(Model::load(dir.path().join("net.cfg")).unwrap().config.names.is_empty());
+    }
+
+    #[test]
+    fn cuts_are_taken_in_with_their_cfg() {
+        let dir = tempfile::tempdir().unwrap();
+        let (model, cut) = (model(), dir.path().join("tiny.conv.15"));
+        let graph = model.config.graph().unwrap();
+        darknet::write_cut(&cut, &graph, &model.weights, 15).unwrap();
+        model.export(ExportFormat::Darknet, dir.path().join("net")).unwrap();
+        let cfg = dir.path().join("net.cfg");
+        assert!(Model::import(&cut, None, 0).unwrap_err().to_string().contains("name its cfg"));
+        let (taken, loaded) = Model::import(&cut, Some(&cfg), 9).unwrap();
+        assert_eq!(loaded.to_string(), "9 of 13 convolutions (layers 0-14)");
+        assert_eq!(taken.weights.convolutions[..9], model.weights.convolutions[..9]);
+        assert_ne!(taken.weights.convolutions[9..], model.weights.convolutions[9..]);
+        let (whole, loaded) = Model::import(&cfg, None, 0).unwrap();
+        assert!(whole == model && loaded.is_all());
     }
 
     #[test]

@@ -18,10 +18,10 @@ use tcross_yolo::{NetSize, Truth};
 /// What a step learns from.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Batch {
-    /// The step it is for, 0-based.
-    pub step: u64,
-    /// Size of the images.
-    pub net: NetSize,
+    /// What it answers.
+    pub request: Request,
+    /// For each picture, the images of the set that it was made of: one, or several for a mosaic or a mix.
+    pub sources: Vec<Vec<usize>>,
     /// `[batch, 3, height, width]`, 0..1.
     pub images: Vec<f32>,
     /// One list an image.
@@ -59,23 +59,26 @@ impl BatchMaker {
         let net = input.net;
         let length = 3 * net.width * net.height;
         let mut images = vec![0.0; self.batch * length];
-        let truths = images.chunks_exact_mut(length).enumerate().map(|(k, out)| {
+        let pictures = images.chunks_exact_mut(length).enumerate().map(|(k, out)| {
             let position = step * self.batch as u64 + k as u64;
             let mut rng = Rng::for_item(self.seed, "train/augment", position);
             let set: &dyn Labels = &*self.samples;
             let plan = Plan::sample(&self.augment, set, self.order.at(position), input, &mut rng);
-            plan.render(set, &mut |index| self.samples.read(index), out)
+            let sources = plan.pictures.iter().flat_map(|picture| &picture.tiles).map(|tile| tile.image).collect();
+            (sources, plan.render(set, &mut |index| self.samples.read(index), out))
         });
-        let truths = truths.collect();
-        Batch { step, net, images, truths }
+        let (sources, truths) = pictures.unzip();
+        Batch { request, sources, images, truths }
     }
 }
 
-/// Threads that make batches ahead of the steps. Requests are answered in order.
+/// Makes batches in the order in which they were asked for: ahead of the steps in threads of their own, or without any when they are
+/// received.
 pub struct Loader {
     workers: Vec<Worker>,
-    /// Which worker has which pending request, oldest first.
-    pending: VecDeque<usize>,
+    maker: BatchMaker,
+    /// Pending requests and which worker has each, oldest first.
+    pending: VecDeque<(usize, Request)>,
     next: usize,
 }
 
@@ -86,7 +89,7 @@ struct Worker {
 }
 
 impl Loader {
-    /// Starts `workers` threads.
+    /// Starts `workers` threads; with 0 the caller's own makes the batches.
     #[must_use]
     pub fn start(maker: &BatchMaker, workers: usize) -> Self {
         let worker = |_| {
@@ -102,7 +105,7 @@ impl Loader {
             });
             Worker { requests: Some(requests), batches, thread: Some(thread) }
         };
-        Self { workers: (0..workers.max(1)).map(worker).collect(), pending: VecDeque::new(), next: 0 }
+        Self { workers: (0..workers).map(worker).collect(), maker: maker.clone(), pending: VecDeque::new(), next: 0 }
     }
 
     /// How many batches to ask for ahead: one in work and one ready for each thread.
@@ -119,19 +122,25 @@ impl Loader {
 
     /// Asks for a batch.
     pub fn request(&mut self, request: Request) {
-        let worker = self.next % self.workers.len();
+        let worker = self.next % self.workers.len().max(1);
         self.next += 1;
-        if let Some(requests) = &self.workers[worker].requests
-            && requests.send(request).is_ok()
-        {
-            self.pending.push_back(worker);
+        let taken = match self.workers.get(worker) {
+            Some(Worker { requests: Some(requests), .. }) => requests.send(request).is_ok(),
+            Some(_) => false,
+            None => true, // made when received
+        };
+        if taken {
+            self.pending.push_back((worker, request));
         }
     }
 
     /// Waits for the oldest request; none if nothing was asked for, or a worker has died.
     pub fn receive(&mut self) -> Option<Batch> {
-        let worker = self.pending.pop_front()?;
-        self.workers[worker].batches.recv().ok()
+        let (worker, request) = self.pending.pop_front()?;
+        match self.workers.get(worker) {
+            Some(worker) => worker.batches.recv().ok(),
+            None => Some(self.maker.make(request)),
+        }
     }
 }
 
@@ -170,11 +179,14 @@ mod tests {
             Request { step, input: Input { net: NetSize::square(net), view, fraction: 0.0 } }
         };
         let alone: Vec<Batch> = (0..6).map(|step| maker.make(request(step))).collect();
-        let mut loader = Loader::start(&maker, 3);
-        (0..6).for_each(|step| loader.request(request(step)));
-        let together: Vec<Batch> = (0..6).map(|_| loader.receive().unwrap()).collect();
-        assert_eq!(alone, together);
-        assert!(loader.receive().is_none());
+        for workers in [0, 1, 3] {
+            let mut loader = Loader::start(&maker, workers);
+            (0..6).for_each(|step| loader.request(request(step)));
+            let together: Vec<Batch> = (0..6).map(|_| loader.receive().unwrap()).collect();
+            assert_eq!(alone, together);
+            assert!(loader.receive().is_none());
+        }
+        assert!(alone.iter().flat_map(|batch| &batch.sources).all(|images| !images.is_empty() && images.iter().all(|&i| i < 10)));
         // A later step alone, as after a resume.
         assert_eq!(Loader::start(&maker, 1).pending(), 0);
         assert_eq!(maker.clone().make(request(4)), alone[4]);

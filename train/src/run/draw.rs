@@ -11,7 +11,7 @@ pub const CLAIM: Rgb<u8> = Rgb([230, 110, 0]);
 /// All images of a batch with the boxes to be learned. A box of a mixed image is fainter by its weight.
 #[must_use]
 pub fn batch(batch: &Batch) -> RgbImage {
-    let (width, height) = (batch.net.width, batch.net.height);
+    let (width, height) = (batch.request.input.net.width, batch.request.input.net.height);
     let area = width * height;
     let picture = |(values, truths): (&[f32], &Vec<tcross_yolo::Truth>)| {
         let mut image = RgbImage::from_fn(width as u32, height as u32, |x, y| {

@@ -75,6 +75,20 @@ impl Row {
         NUMBERS.into_iter().zip(numbers.map(Some)).chain(SCORES.into_iter().zip(self.scores)).collect()
     }
 
+    /// What was measured, by TensorBoard's names: `loss/center`, `validation/ap`, `training/rate`, so that charts stand in groups.
+    #[must_use]
+    pub fn tags(&self) -> Vec<(String, f64)> {
+        let tag = |name: &str| match name {
+            "loss" => "loss/sum".to_owned(),
+            "center" | "size" | "objectness" | "class" | "keypoints" => format!("loss/{name}"),
+            _ => match name.strip_prefix("val_") {
+                Some(score) => format!("validation/{score}"),
+                None => format!("training/{name}"),
+            },
+        };
+        self.columns().into_iter().filter(|(name, _)| *name != "step").filter_map(|(name, value)| Some((tag(name), value?))).collect()
+    }
+
     fn from_columns(v: &[Option<f64>]) -> Option<Self> {
         Some(Self {
             epoch: v[0]?,

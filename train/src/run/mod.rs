@@ -89,7 +89,7 @@ impl RunDir {
     ///
     /// # Errors
     /// If the file cannot be written.
-    pub fn scalars(&mut self, step: u64, seconds: f64, values: &[(&str, f64)]) -> Result<(), TrainError> {
+    pub fn scalars(&mut self, step: u64, seconds: f64, values: &[(String, f64)]) -> Result<(), TrainError> {
         Ok(self.events.scalars(step, seconds, values)?)
     }
 

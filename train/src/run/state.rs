@@ -45,6 +45,9 @@ pub struct Progress {
     pub sums: Sums,
     /// Moving average of the loss, to know divergence by.
     pub usual_loss: f64,
+    /// What the last validation took, with all that is written after it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub validation_seconds: Option<f64>,
 }
 
 /// Sums over the steps since the last row of `metrics.csv`.
@@ -62,8 +65,18 @@ impl Progress {
     /// At the first step.
     #[must_use]
     pub fn start(identity: String) -> Self {
-        let (sums, usual_loss) = (Sums::default(), 0.0);
-        Self { format: FORMAT, step: 0, seconds: 0.0, identity, best: None, since_best: 0, validations: 0, sums, usual_loss }
+        Self {
+            format: FORMAT,
+            step: 0,
+            seconds: 0.0,
+            identity,
+            best: None,
+            since_best: 0,
+            validations: 0,
+            sums: Sums::default(),
+            usual_loss: 0.0,
+            validation_seconds: None,
+        }
     }
 }
 

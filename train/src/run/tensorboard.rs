@@ -29,7 +29,7 @@ impl EventFile {
     ///
     /// # Errors
     /// If the disk is full.
-    pub fn scalars(&mut self, step: u64, seconds: f64, values: &[(&str, f64)]) -> Result<(), DatasetError> {
+    pub fn scalars(&mut self, step: u64, seconds: f64, values: &[(String, f64)]) -> Result<(), DatasetError> {
         let mut summary = Vec::new();
         for (tag, value) in values {
             let mut entry = Vec::new();
@@ -98,7 +98,7 @@ mod tests {
     #[test]
     fn records_can_be_walked_and_hold_the_value() {
         let dir = tempfile::tempdir().unwrap();
-        EventFile::create(dir.path(), 7).unwrap().scalars(300, 1.5, &[("loss/sum", 2.5)]).unwrap();
+        EventFile::create(dir.path(), 7).unwrap().scalars(300, 1.5, &[("loss/sum".into(), 2.5)]).unwrap();
         let bytes = std::fs::read(dir.path().join("events.out.tfevents.0000000007")).unwrap();
         let (mut at, mut messages) = (0, Vec::new());
         while at < bytes.len() {

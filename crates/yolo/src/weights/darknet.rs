@@ -1,8 +1,8 @@
 //! Darknet's `.weights` files: a header, then float32 values of each convolution in the order of the layers: bias, with batch norm
 //! scale, mean and variance, then the kernel. Nothing in the file says what it belongs to, so lengths are checked to the byte.
-use super::{ConvWeights, NormWeights, Weights};
+use super::{ConvWeights, Loaded, NormWeights, Weights};
 use crate::{
-    config::{MOST_CLASSES, ModelConfig},
+    config::{Architecture, MOST_CLASSES, ModelConfig},
     error::YoloError,
     graph::Graph,
 };
@@ -11,17 +11,6 @@ use tcross_dataset::files;
 
 /// Version 0.2.0, with 8 bytes for the images seen.
 const HEADER: usize = 20;
-
-/// What a file held.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Loaded {
-    /// Convolutions whose parameters were read.
-    pub convolutions: usize,
-    /// Convolutions of the network.
-    pub of: usize,
-    /// Number of leading layers they belong to; heads may be left out among them.
-    pub layers: usize,
-}
 
 /// A file's bytes and how far they are read.
 struct Reader {
@@ -115,13 +104,34 @@ pub fn read(path: impl AsRef<Path>, graph: &Graph) -> Result<Weights, YoloError>
 /// As [`read`].
 pub fn read_model(path: impl AsRef<Path>, config: &ModelConfig) -> Result<Weights, YoloError> {
     let path = path.as_ref();
-    read(path, &config.graph()?).map_err(|error| {
-        let bytes = std::fs::metadata(path).map_or(0, |file| file.len() as usize);
-        match with_classes_of(config, bytes.saturating_sub(HEADER)) {
-            Ok(Some((found, _))) => YoloError::Classes { path: path.to_owned(), expected: config.classes, found },
-            _ => error,
+    read(path, &config.graph()?).map_err(|error| explained(error, path, config))
+}
+
+/// An error of length, told as what the file is where that can be known: the same network with another number of classes, or another
+/// published one.
+fn explained(error: YoloError, path: &Path, config: &ModelConfig) -> YoloError {
+    let YoloError::Length { .. } = &error else { return error };
+    let bytes = std::fs::metadata(path).map_or(0, |file| file.len() as usize).saturating_sub(HEADER);
+    if let Ok(Some((found, _))) = with_classes_of(config, bytes) {
+        return YoloError::Classes { path: path.to_owned(), expected: config.classes, found };
+    }
+    let holds = |architecture: &Architecture| {
+        let other = ModelConfig::of(*architecture);
+        match 4 * other.graph().ok()?.parameters() == bytes {
+            true => Some(other.classes),
+            false => with_classes_of(&other, bytes).ok()?.map(|(classes, _)| classes),
         }
-    })
+    };
+    let found = [Architecture::YoloV3, Architecture::YoloV3Tiny].iter().find_map(|a| Some((a, holds(a)?)));
+    match found {
+        Some((name, classes)) => YoloError::Architecture {
+            path: path.to_owned(),
+            found: format!("{name} with {classes} class(es)"),
+            expected: config.summary(),
+            source: Box::new(error),
+        },
+        None => error,
+    }
 }
 
 /// Number of layers of a cut such as `darknet53.conv.74` or `yolov3-tiny.conv.15`, from the file's name.
@@ -134,28 +144,32 @@ pub fn cut_of(path: impl AsRef<Path>) -> Option<usize> {
 /// is the same network with another number of classes, all but the heads.
 ///
 /// # Errors
-/// As [`read`]: if the file fits in none of these ways.
+/// As [`read_model`]: if the file fits in none of these ways.
 pub fn read_start(path: impl AsRef<Path>, config: &ModelConfig, weights: &mut Weights) -> Result<Loaded, YoloError> {
     let path = path.as_ref();
+    fill_start(path, config, weights).map_err(|error| explained(error, path, config))
+}
+
+fn fill_start(path: &Path, config: &ModelConfig, weights: &mut Weights) -> Result<Loaded, YoloError> {
     let graph = config.graph()?;
     weights.check(&graph)?;
     let mut reader = Reader::open(path)?;
     let all = graph.layers().len();
-    let layers = cut_of(path).unwrap_or(all);
+    let layers = cut_of(path).unwrap_or(all).min(all);
     let other = if layers < all { None } else { with_classes_of(config, reader.bytes.len() - reader.offset)? };
     let read = match &other {
         Some((_, other)) => reader.convolutions(other, all)?,
         None => reader.convolutions(&graph, layers)?,
     };
     reader.end()?;
-    let mut convolutions = 0;
+    let mut loaded = Loaded { layers: Vec::new(), of: weights.convolutions.len() };
     for (((layer, _), to), from) in graph.convolutions().zip(&mut weights.convolutions).zip(read.convolutions) {
         if layer < layers && (other.is_none() || !graph.is_head(layer)) {
             *to = from;
-            convolutions += 1;
+            loaded.layers.push(layer);
         }
     }
-    Ok(Loaded { convolutions, of: weights.convolutions.len(), layers })
+    Ok(loaded)
 }
 
 /// The same network with the number of classes that `bytes` of parameters belong to, if that is another one.
@@ -180,6 +194,15 @@ fn with_classes_of(config: &ModelConfig, bytes: usize) -> Result<Option<(usize, 
 /// If the folder cannot be written.
 pub fn write(path: impl AsRef<Path>, weights: &Weights) -> Result<(), YoloError> {
     files::write_atomically(&path, to_bytes(weights)).map_err(|e| YoloError::broken(&path, e))
+}
+
+/// Writes the parameters of the first `layers` layers: a cut, by custom named `NAME.conv.LAYERS`, to start other trainings from.
+///
+/// # Errors
+/// If the folder cannot be written.
+pub fn write_cut(path: impl AsRef<Path>, graph: &Graph, weights: &Weights, layers: usize) -> Result<(), YoloError> {
+    let count = graph.convolutions().filter(|(layer, _)| *layer < layers).count();
+    write(path, &Weights { seen: weights.seen, convolutions: weights.convolutions[..count].to_vec() })
 }
 
 fn to_bytes(weights: &Weights) -> Vec<u8> {
@@ -240,6 +263,20 @@ mod tests {
         assert!(other.contains("layer"), "{other}");
     }
 
+    /// Files of the published sizes, of which nothing but the header is written.
+    #[test]
+    fn another_architecture_is_named() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("yolov3.weights");
+        for (classes, bytes) in [(80, 4 * 62_001_757), (1, 4 * (62_001_757 - 79 * 3 * (1025 + 513 + 257)))] {
+            std::fs::write(&path, &to_bytes(&Weights::default())).unwrap();
+            std::fs::File::options().write(true).open(&path).unwrap().set_len((HEADER + bytes) as u64).unwrap();
+            let message = read_model(&path, &tiny(3).0).unwrap_err().to_string();
+            let want = format!("holds yolov3 with {classes} class(es): expected yolov3-tiny x 0.0625 with 3 class(es)");
+            assert!(message.contains(&want) && message.contains("end of file: expected 0 bytes at offset"), "{message}");
+        }
+    }
+
     #[test]
     fn a_start_takes_cuts_and_other_class_counts() {
         let (config, start) = tiny(1);
@@ -249,16 +286,18 @@ mod tests {
 
         let path = dir.path().join("tiny.conv.15");
         let count = graph.convolutions().filter(|(layer, _)| *layer < 15).count();
-        let cut = Weights { seen: 0, convolutions: start.convolutions[..count].to_vec() };
-        write(&path, &cut).unwrap();
+        assert_eq!(count, 9);
+        write_cut(&path, &graph, &start, 15).unwrap();
         let mut weights = blank.clone();
-        assert_eq!(read_start(&path, &config, &mut weights).unwrap(), Loaded { convolutions: 9, of: 13, layers: 15 });
+        let loaded = read_start(&path, &config, &mut weights).unwrap();
+        assert_eq!(loaded.to_string(), "9 of 13 convolutions (layers 0-14)");
         assert_eq!((&weights.convolutions[..9], &weights.convolutions[9..]), (&start.convolutions[..9], &blank.convolutions[9..]));
 
         let path = dir.path().join("coco.weights");
         write(&path, &tiny(80).1).unwrap();
         let mut weights = blank.clone();
-        assert_eq!(read_start(&path, &config, &mut weights).unwrap(), Loaded { convolutions: 11, of: 13, layers: 24 });
+        let loaded = read_start(&path, &config, &mut weights).unwrap();
+        assert_eq!(loaded.to_string(), "11 of 13 convolutions (layers 0-14, 18, 21)");
         let coco = tiny(80).1;
         for (at, convolution) in weights.convolutions.iter().enumerate() {
             let head = at == 9 || at == 12;

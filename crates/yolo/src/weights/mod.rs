@@ -23,6 +23,42 @@ pub struct Weights {
     pub convolutions: Vec<ConvWeights>,
 }
 
+/// What a file gave to a network that it fits in part.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Loaded {
+    /// Layers of the convolutions whose parameters were read, rising.
+    pub layers: Vec<usize>,
+    /// Convolutions of the network.
+    pub of: usize,
+}
+
+impl Loaded {
+    /// True where nothing was left out.
+    #[must_use]
+    pub fn is_all(&self) -> bool {
+        self.layers.len() == self.of
+    }
+}
+
+impl std::fmt::Display for Loaded {
+    /// `11 of 13 convolutions (layers 0-13, 18, 21)`: from the first to the last of each run of convolutions that were all read.
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        if self.is_all() {
+            return write!(f, "all {} convolutions", self.of);
+        }
+        let mut runs: Vec<(usize, usize)> = Vec::new();
+        for &layer in &self.layers {
+            match runs.last_mut() {
+                // Shortcuts, routes and pools between two convolutions have no parameters: a gap of a few layers is none.
+                Some((_, last)) if layer <= *last + 2 => *last = layer,
+                _ => runs.push((layer, layer)),
+            }
+        }
+        let runs: Vec<String> = runs.iter().map(|(a, b)| if a == b { a.to_string() } else { format!("{a}-{b}") }).collect();
+        write!(f, "{} of {} convolutions (layers {})", self.layers.len(), self.of, runs.join(", "))
+    }
+}
+
 /// Parameters of one convolution.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ConvWeights {

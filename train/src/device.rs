@@ -28,23 +28,33 @@ impl Accelerator {
         }
     }
 
-    /// Checks that this build knows the device.
+    /// Checks that this build knows the device and that this machine has one.
     ///
     /// # Errors
-    /// If it was built without the feature.
+    /// If it was built without the feature, or no driver offers such a device.
     pub fn check(self) -> Result<(), TrainError> {
         let built = match self {
             Self::Cpu => true,
             Self::Wgpu => cfg!(feature = "wgpu"),
             Self::Cuda => cfg!(feature = "cuda"),
         };
-        if built {
-            return Ok(());
+        let message = match (built, self.found()) {
+            (true, true) => return Ok(()),
+            (false, _) => format!("this program was built without it; build with `--features {self}`"),
+            (true, false) => "no driver on this machine offers one".into(),
+        };
+        Err(TrainError::Device { device: self.to_string(), message })
+    }
+
+    /// Whether the system shows such a device.
+    fn found(self) -> bool {
+        match self {
+            #[cfg(feature = "wgpu")]
+            Self::Wgpu => !Device::enumerate(burn::tensor::DeviceType::Wgpu).is_empty(),
+            #[cfg(feature = "cuda")]
+            Self::Cuda => !Device::enumerate(burn::tensor::DeviceType::Cuda).is_empty(),
+            _ => true,
         }
-        Err(TrainError::Device {
-            device: self.to_string(),
-            message: format!("this program was built without it; build with `--features {self}`"),
-        })
     }
 }
 

@@ -3,10 +3,13 @@ use crate::{config::Config, data::Samples, error::TrainError};
 use std::path::Path;
 use tcross_dataset::{Dataset, Split, files};
 use tcross_yolo::{
-    AnchorChoice, ModelConfig, ModelSection, Weights, anchors,
+    AnchorChoice, ModelConfig, ModelSection, Weights, YoloError, anchors,
     config::AnchorSource,
     weights::{Init, darknet, safetensors},
 };
+
+/// A marker's centre and four corners.
+const MOST_POINTS: usize = 5;
 
 /// The network's complete description, with its anchors, and how well k-means' anchors fit.
 pub(crate) fn describe(
@@ -19,6 +22,14 @@ pub(crate) fn describe(
     if model.classes > 1 && config.classes.len() != model.classes {
         let found = format!("{} names", config.classes.len());
         return Err(TrainError::value("classes", found, format!("{} (model.classes), so that shapes can be numbered", model.classes)));
+    }
+    if model.keypoints > MOST_POINTS || (model.keypoints > 0 && !train.has_points()) {
+        let list = dataset.list_path(Split::Train);
+        let allowed = match train.has_points() {
+            true => format!("0 to {MOST_POINTS}: a marker's centre, then its corners from the stem's on"),
+            false => format!("0, since no marker of {} has its corners", list.display()),
+        };
+        return Err(YoloError::value("model.keypoints", model.keypoints, allowed).into());
     }
     let (anchors, fit) = match &model.anchors {
         AnchorChoice::List(list) => (list.clone(), None),

@@ -1,7 +1,7 @@
 //! For tests: a dataset that takes seconds to learn, green squares with a blue diagonal on coloured noise.
 use image::{Rgb, RgbImage};
 use std::path::Path;
-use tcross_dataset::{DatasetError, Marker, PixelBox, Record, Rng, Split, files};
+use tcross_dataset::{DatasetError, Marker, PixelBox, Quad, Record, Rng, Split, files};
 
 /// Writes `train` and `val` images (and as many of `test` as of `val`) of `side` x `side` pixels, one marker each.
 pub fn write(dir: &Path, train: usize, val: usize, side: u32) -> Result<(), DatasetError> {
@@ -26,12 +26,15 @@ fn record(dir: &Path, split: Split, index: usize, side: u32) -> Result<Record, D
     let name = format!("{split}/{index:05}.png");
     image.save(dir.join(&name)).map_err(|e| DatasetError::Image { path: dir.join(&name), message: e.to_string() })?;
     let bounds = PixelBox::from([x, y, x + size, y + size].map(f64::from));
+    // The diagonal starts at the stem's corner, the upper left.
+    let PixelBox { x_min, y_min, x_max, y_max } = bounds;
+    let corners = [[x_min, y_min], [x_max, y_min], [x_max, y_max], [x_min, y_max]];
     Ok(Record {
         image: name,
         width: side,
         height: side,
         background: None,
-        markers: vec![Marker::from_box("t_cross", bounds)],
+        markers: vec![Marker { corners: Some(Quad(corners)), center: Some(bounds.center()), ..Marker::from_box("t_cross", bounds) }],
         intrinsics: None,
         distortion: None,
         effects: serde_json::Map::new(),

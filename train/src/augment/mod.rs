@@ -18,6 +18,8 @@ pub struct Label {
     pub bounds: PixelBox,
     /// Index of the class.
     pub class: u32,
+    /// The marker's points: its centre, then its corners clockwise as seen, the stem's first; none where they are not known.
+    pub points: Option<[[f64; 2]; 5]>,
 }
 
 /// What images a plan may draw on: their labels, all of one letterboxed size.
@@ -153,7 +155,18 @@ impl Plan {
         };
         let inside = (w.x_min..=w.x_max).contains(&center[0]) && (w.y_min..=w.y_max).contains(&center[1]);
         let large = kept.area() >= LEAST_VISIBLE * moved.area() && kept.short_side() >= LEAST_SIDE_PX;
-        (inside && large).then(|| Truth::from_net_box(&kept, label.class, self.net))
+        let keypoints = || label.points.iter().flat_map(|points| self.points(tile, points)).collect();
+        (inside && large).then(|| Truth { keypoints: keypoints(), ..Truth::from_net_box(&kept, label.class, self.net) })
+    }
+
+    /// A marker's points in fractions of the input, the corners clockwise as seen in the mirror too.
+    fn points(&self, tile: &Tile, points: &[[f64; 2]; 5]) -> [[f32; 2]; 5] {
+        let [sx, sy] = tile.placement.scale;
+        let order = if sx * sy < 0.0 { [0, 1, 4, 3, 2] } else { [0, 1, 2, 3, 4] };
+        order.map(|k| {
+            let [x, y] = tile.placement.point(points[k]);
+            [(x / self.net.width as f64) as f32, (y / self.net.height as f64) as f32]
+        })
     }
 }
 
@@ -319,7 +332,7 @@ mod tests {
             let mut rng = Rng::for_item(1, "test/toy", 0);
             let mut label = || {
                 let (x, y, w, h) = (rng.int(4, 40), rng.int(4, 40), rng.int(8, 20), rng.int(8, 20));
-                Label { bounds: PixelBox::from([x, y, x + w, y + h].map(|v| v as f64)), class: 0 }
+                Label { bounds: PixelBox::from([x, y, x + w, y + h].map(|v| v as f64)), class: 0, points: None }
             };
             Self { labels: (0..count).map(|_| vec![label()]).collect() }
         }
@@ -465,6 +478,26 @@ mod tests {
         let truths = Plan::plain(0, set.size(), set.size()).render(&set, &mut |i| Some(set.image(i)), &mut out);
         assert_eq!(truths, [Truth::from_net_box(&set.labels[0][0].bounds, 0, set.size())]);
         assert!(out.iter().zip(&set.image(0).data).all(|(a, b)| (a * 255.0 - f32::from(*b)).abs() < 1e-3));
+    }
+
+    #[test]
+    fn points_move_with_the_pixels_and_stay_clockwise() {
+        let mut set = Toy::new(1);
+        let b = set.labels[0][0].bounds;
+        let corners = [[b.x_max, b.y_min], [b.x_max, b.y_max], [b.x_min, b.y_max], [b.x_min, b.y_min]];
+        set.labels[0][0].points = Some([b.center(), corners[0], corners[1], corners[2], corners[3]]);
+        let placed = |placement| {
+            let tile = Tile { image: 0, placement, window: whole(set.size()) };
+            let mut plan = Plan::plain(0, set.size(), set.size());
+            plan.pictures[0].tiles = vec![tile];
+            plan.render(&set, &mut |i| Some(set.image(i)), &mut vec![0.0; 3 * 4096]).remove(0).keypoints
+        };
+        let plain = placed(Placement::IDENTITY);
+        let near = |a: [f32; 2], b: [f64; 2]| (0..2).all(|k| (f64::from(a[k]) * 64.0 - b[k]).abs() < 1e-4);
+        assert!(near(plain[0], b.center()) && (0..4).all(|k| near(plain[k + 1], corners[k])), "{plain:?}");
+        // Mirrored, the stem's corner is at the upper left, and the next one clockwise at the upper right.
+        let mirrored = placed(Placement::flip(64));
+        assert!(near(mirrored[1], [64.0 - b.x_max, b.y_min]) && near(mirrored[2], [64.0 - b.x_min, b.y_min]), "{mirrored:?}");
     }
 
     #[test]

@@ -48,6 +48,8 @@ pub struct BatchMaker {
     pub augment: Augment,
     /// Images in a batch.
     pub batch: usize,
+    /// Points of a marker that are learned besides its box: the first so many of its centre and corners.
+    pub keypoints: usize,
     /// Of the training.
     pub seed: u64,
 }
@@ -65,7 +67,9 @@ impl BatchMaker {
             let set: &dyn Labels = &*self.samples;
             let plan = Plan::sample(&self.augment, set, self.order.at(position), input, &mut rng);
             let sources = plan.pictures.iter().flat_map(|picture| &picture.tiles).map(|tile| tile.image).collect();
-            (sources, plan.render(set, &mut |index| self.samples.read(index), out))
+            let mut truths = plan.render(set, &mut |index| self.samples.read(index), out);
+            truths.iter_mut().for_each(|truth| truth.keypoints.truncate(self.keypoints));
+            (sources, truths)
         });
         let (sources, truths) = pictures.unzip();
         Batch { request, sources, images, truths }
@@ -172,6 +176,7 @@ mod tests {
             order: Order::new(3, &marked, None),
             augment: Augment { mosaic: 0.5, mixup: 0.5, ..Augment::default() },
             batch: 4,
+            keypoints: 1,
             seed: 3,
         };
         let request = |step| {

@@ -125,6 +125,12 @@ impl Samples {
         self.labels.iter().flatten().map(|l| [l.bounds.width() as f32, l.bounds.height() as f32]).collect()
     }
 
+    /// True where a label knows its marker's centre and corners.
+    #[must_use]
+    pub fn has_points(&self) -> bool {
+        self.labels.iter().flatten().any(|label| label.points.is_some())
+    }
+
     /// Takes the warnings since the last call; each names its file.
     pub fn take_warnings(&self) -> Vec<String> {
         std::mem::take(&mut *self.warnings.lock().unwrap_or_else(|poisoned| poisoned.into_inner()))
@@ -197,9 +203,18 @@ fn labels_of(record: &Record, size: NetSize, extra: f64, classes: &[String]) -> 
             None if classes.is_empty() => 0,
             None => return Err((k, format!("shape '{}': expected one of train.classes: {}", marker.shape, classes.join(", ")))),
         };
-        Ok(Label { bounds: letterbox.box_to_net(&inside), class: class as u32 })
+        let points = points_of(marker).map(|points| points.map(|point| letterbox.net_from_source(point)));
+        Ok(Label { bounds: letterbox.box_to_net(&inside), class: class as u32, points })
     };
     record.markers.iter().enumerate().map(label).collect()
+}
+
+/// A marker's centre and corners, where its record tells them; the centre is where the diagonals cross, if it is not told itself.
+fn points_of(marker: &tcross_dataset::Marker) -> Option<[[f64; 2]; 5]> {
+    let corners = marker.corners?;
+    let center = marker.center.or_else(|| corners.diagonal_crossing())?;
+    let [a, b, c, d] = corners.0;
+    Some([center, a, b, c, d])
 }
 
 #[cfg(test)]

@@ -1,5 +1,7 @@
 //! Whole trainings of a tiny network on a toy dataset.
 mod fast_path;
+#[cfg(feature = "wgpu")]
+mod gpu;
 #[path = "../../src/toy.rs"]
 mod toy;
 
@@ -7,13 +9,13 @@ use std::{
     path::{Path, PathBuf},
     sync::atomic::{AtomicBool, Ordering},
 };
-use tcross_dataset::Dataset;
+use tcross_dataset::{Dataset, Split};
 use tcross_train::{
     Config, End, Progress, RunOptions, RunSummary, TrainError,
-    config::{Augment, Freeze, Validate},
+    config::{Augment, Freeze, ScheduleKind, Validate},
     fit,
 };
-use tcross_yolo::{Architecture, Model, ModelSection, NetSize};
+use tcross_yolo::{Architecture, Model, ModelSection, NetSize, Yolo, decode::decode, input, network::read_logits};
 
 fn network() -> ModelSection {
     ModelSection { architecture: Architecture::YoloV3Tiny, width: 0.0625, input: NetSize::square(64), ..ModelSection::default() }
@@ -91,6 +93,78 @@ fn a_resume_may_lengthen_but_not_change_a_run() {
     let error = fit(&Config { ignore_iou: 0.7, ..short() }, &network(), &dataset, &resume, &mut |_| {}).unwrap_err().to_string();
     assert!(error.contains("ignore_iou = 0.6") && error.contains("ignore_iou = 0.7"), "{error}");
     assert!(matches!(train(&short(), &dataset, out), Err(TrainError::RunExists { .. })));
+}
+
+/// Stopped within an epoch and given a longer end: the same bits as the long run that never stopped, where the rate does not hang on the length.
+#[test]
+fn lengthening_within_an_epoch_changes_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = data(dir.path(), 18); // 4.5 steps an epoch
+    let mut long = Config { epochs: Some(3.0), ..short() };
+    long.schedule.kind = ScheduleKind::Constant;
+    let once = train(&long, &dataset, dir.path().join("once")).unwrap();
+    let (stop, out) = (AtomicBool::new(false), dir.path().join("stopped"));
+    let shorter = Config { epochs: Some(2.0), ..long.clone() };
+    fit(&shorter, &network(), &dataset, &RunOptions::new(&out, 5, &stop), &mut |news| {
+        if let Progress::Step(report) = news {
+            stop.store(report.step >= 6, Ordering::Relaxed);
+        }
+    })
+    .unwrap();
+    let resumed = train_with_stops(&long, &dataset, &out, &[11]);
+    assert_eq!((resumed.steps, timeless(&resumed)), (14, timeless(&once)));
+    for name in ["best.safetensors", "last.safetensors"] {
+        let read = |run: &str| std::fs::read(dir.path().join(run).join(name)).unwrap();
+        assert!(read("once") == read("stopped"), "{name}");
+    }
+}
+
+/// The head grows by a field and everything else stays: a marker's centre and its stem's corner are learned in the same pass as its box.
+#[test]
+fn a_head_with_keypoints_learns_them() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = data(dir.path(), 48);
+    let mut config = Config {
+        batch: 4,
+        epochs: Some(40.0),
+        ema: 0.9,
+        objectness_bias: -4.0,
+        validate: Validate { every: 20, ..Validate::default() },
+        ..Config::default()
+    };
+    config.optimizer.rate = 5e-3;
+    let section = ModelSection { width: 0.125, keypoints: 2, ..network() };
+    let (stop, out) = (AtomicBool::new(false), dir.path().join("run"));
+    let summary = fit(&config, &section, &dataset, &RunOptions::new(&out, 5, &stop), &mut |_| {}).unwrap();
+    let rows = &summary.history.rows;
+    assert!(rows[1].loss.keypoints > 0.0 && rows[1].loss.keypoints < rows[0].loss.keypoints, "{rows:?}");
+
+    let model = Model::load(&out).unwrap();
+    assert_eq!(model.config.keypoints, 2);
+    let (device, net) = (burn::tensor::Device::flex(), model.config.input);
+    let yolo = Yolo::new(&model.config, &model.weights, &device).unwrap();
+    let (mut errors, records) = (Vec::new(), dataset.records(Split::Val).unwrap());
+    for record in &records {
+        let image = image::open(dataset.image_path(record)).unwrap().to_rgb8();
+        let mut values = vec![0.0; 3 * net.width * net.height];
+        let letterbox = input::prepare(&image, net, &mut values);
+        let heads = yolo.forward(burn::tensor::Tensor::from_data(burn::tensor::TensorData::new(values, [1, 3, net.height, net.width]), &device));
+        let logits: Vec<Vec<f32>> = heads.iter().map(read_logits).collect();
+        let views: Vec<&[f32]> = logits.iter().map(Vec::as_slice).collect();
+        let mut claims = decode(&model.config.geometry(net), &views, 0.05);
+        claims.sort_by(|a, b| b.score.total_cmp(&a.score));
+        let (Some(claim), marker) = (claims.first(), &record.markers[0]) else { continue };
+        let truths = [marker.center.unwrap(), marker.corners.unwrap().0[0]].map(|p| letterbox.net_from_source(p));
+        let side = marker.bounds.width();
+        errors.extend(truths.iter().zip(&claim.keypoints).map(|(t, c)| (t[0] - c[0]).hypot(t[1] - c[1]) / side));
+    }
+    assert!(errors.len() >= 8, "{} of {} found", errors.len() / 2, records.len());
+    errors.sort_by(f64::total_cmp);
+    assert!(errors[errors.len() / 2] < 0.15, "{errors:?}"); // in sides of the marker
+
+    let wrong = ModelSection { keypoints: 6, ..section };
+    let error = fit(&config, &wrong, &dataset, &RunOptions::new(dir.path().join("six"), 5, &stop), &mut |_| {}).unwrap_err().to_string();
+    assert!(error.contains("model.keypoints = 6: expected 0 to 5"), "{error}");
 }
 
 #[test]
@@ -175,8 +249,11 @@ fn divergence_stops_and_shows_its_batch() {
     config.optimizer.rate = 90.0;
     config.epochs = Some(50.0);
     let error = train(&config, &dataset, dir.path().join("run")).unwrap_err();
-    let TrainError::Diverged { batch, .. } = &error else { panic!("{error}") };
+    let TrainError::Diverged { batch, step, .. } = &error else { panic!("{error}") };
     assert!(batch.is_file());
+    let report: serde_json::Value = serde_json::from_slice(&std::fs::read(batch.with_extension("json")).unwrap()).unwrap();
+    assert_eq!((report["step"].as_u64(), report["images"].as_array().unwrap().len()), (Some(*step), 4));
+    assert!(report["images"][0]["made_of"][0].as_str().unwrap().starts_with("train/"), "{report}");
 }
 
 #[test]
@@ -187,9 +264,13 @@ fn patience_and_the_clock_end_a_training() {
     config.optimizer.rate = 1e-12; // nothing is learned, so nothing gets better
     let summary = train(&config, &dataset, dir.path().join("patience")).unwrap();
     assert_eq!((summary.end, summary.history.rows.len() as u64), (End::EarlyStopped, summary.best.map_or(2, |_| 3)));
+    // Gone on with, it is still at its end.
+    let again = train_with_stops(&config, &dataset, &dir.path().join("patience"), &[]);
+    assert_eq!((again.end, again.steps, again.history), (End::EarlyStopped, summary.steps, summary.history));
     let config = Config { epochs: None, max_minutes: Some(0.02), ..short() };
     let summary = train(&config, &dataset, dir.path().join("clock")).unwrap();
-    assert!(summary.end == End::Finished && (1.2..10.0).contains(&summary.seconds), "{summary:?}");
+    // The last validation is planned for: at most half of the time is set aside for it.
+    assert!(summary.end == End::Finished && (0.6..10.0).contains(&summary.seconds), "{summary:?}");
     assert!(summary.history.rows.last().unwrap().rate < 0.1 * config.optimizer.rate);
 }
 

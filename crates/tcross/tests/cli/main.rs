@@ -2,7 +2,9 @@
 mod datasets;
 mod evaluation;
 mod help;
+mod model;
 mod reproduce;
+mod train;
 mod wrong_usage;
 
 use std::{

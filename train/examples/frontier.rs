@@ -89,7 +89,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         let (name, dir) = input.split_once('=').unwrap_or((Path::new(input).file_name().and_then(|n| n.to_str()).unwrap_or(input), input));
         tracks.push(Track::read(name, Path::new(dir), column)?);
     }
-    let mut plot = LinePlot::new("Accuracy against training time", Axis::linear("minutes of training"), Axis::linear(metric.replace('_', " ")));
+    let mut plot =
+        LinePlot::new("Accuracy against training time", Axis::linear("minutes of training"), Axis::linear(metric.replace('_', " ")));
     for track in &tracks {
         plot = plot.with(track.series());
     }

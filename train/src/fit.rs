@@ -233,7 +233,9 @@ impl<'a> Session<'a> {
         let verb = if self.progress.step == 0 { "starts" } else { "goes on" };
         self.run.log(&format!("training {verb} at step {} with seed {}", self.progress.step, self.options.seed))?;
         self.options.provenance.iter().try_for_each(|line| self.run.log(line))?;
-        self.run.log(&format!("threads: {}", rayon::current_num_threads()))?;
+        if !self.options.provenance.iter().any(|line| line.starts_with("threads: ")) {
+            self.run.log(&format!("threads: {}", rayon::current_num_threads()))?;
+        }
         self.run.log(&format!("memory: {memory}"))
     }
 

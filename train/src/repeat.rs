@@ -44,9 +44,7 @@ impl RunSummary {
 impl Repeats {
     /// A line a seed, then mean and deviation, each a cell a column; absent where it was not measured by every run.
     fn cells(&self) -> Vec<(String, Vec<Option<f64>>)> {
-        let of_run = |(seed, run): &(u64, RunSummary)| {
-            (seed.to_string(), COLUMNS.map(|(_, of)| run.best_row().and_then(of)).to_vec())
-        };
+        let of_run = |(seed, run): &(u64, RunSummary)| (seed.to_string(), COLUMNS.map(|(_, of)| run.best_row().and_then(of)).to_vec());
         let mut lines: Vec<(String, Vec<Option<f64>>)> = self.runs.iter().map(of_run).collect();
         let spread = |k: usize| {
             let values: Option<Vec<f64>> = lines.iter().map(|(_, cells)| cells[k]).collect();

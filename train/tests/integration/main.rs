@@ -123,13 +123,13 @@ fn lengthening_within_an_epoch_changes_nothing() {
 #[test]
 fn a_head_with_keypoints_learns_them() {
     let dir = tempfile::tempdir().unwrap();
-    let dataset = data(dir.path(), 48);
+    let dataset = data(dir.path(), 160);
     let mut config = Config {
         batch: 4,
-        epochs: Some(40.0),
+        epochs: Some(16.0),
         ema: 0.9,
         objectness_bias: -4.0,
-        validate: Validate { every: 20, ..Validate::default() },
+        validate: Validate { every: 8, ..Validate::default() },
         ..Config::default()
     };
     config.optimizer.rate = 5e-3;
@@ -148,7 +148,8 @@ fn a_head_with_keypoints_learns_them() {
         let image = image::open(dataset.image_path(record)).unwrap().to_rgb8();
         let mut values = vec![0.0; 3 * net.width * net.height];
         let letterbox = input::prepare(&image, net, &mut values);
-        let heads = yolo.forward(burn::tensor::Tensor::from_data(burn::tensor::TensorData::new(values, [1, 3, net.height, net.width]), &device));
+        let heads =
+            yolo.forward(burn::tensor::Tensor::from_data(burn::tensor::TensorData::new(values, [1, 3, net.height, net.width]), &device));
         let logits: Vec<Vec<f32>> = heads.iter().map(read_logits).collect();
         let views: Vec<&[f32]> = logits.iter().map(Vec::as_slice).collect();
         let mut claims = decode(&model.config.geometry(net), &views, 0.05);

@@ -81,6 +81,9 @@ pub fn run(args: Args) -> Outcome {
         What::Export { model, to, out, folded, cut } => {
             let out = required(&out, "--out FILE", EXPORT)?;
             let model = load(&model)?;
+            if let Some(folder) = out.parent().filter(|p| !p.as_os_str().is_empty()) {
+                tcross_dataset::files::create_dir(folder)?;
+            }
             if let Some(layers) = cut {
                 return write_cut(&model, to, layers, out);
             }
@@ -119,7 +122,12 @@ fn info(model: &Model) -> Outcome<String> {
     let rows = tcross_yolo::model::info(config)?;
     let (parameters, flops) = rows.iter().fold((0, 0), |(p, f), r| (p + r.parameters, f + r.flops));
     let mut text = format!("{}, input {}, boxes {:?}\n", config.summary(), config.input, config.boxes).to_lowercase();
-    let _ = writeln!(text, "{parameters} parameters, {:.3} GFLOP an image; the backbone is layers 0-{}", flops as f64 / 1e9, config.graph()?.backbone() - 1);
+    let _ = writeln!(
+        text,
+        "{parameters} parameters, {:.3} GFLOP an image; the backbone is layers 0-{}",
+        flops as f64 / 1e9,
+        config.graph()?.backbone() - 1
+    );
     let geometry = config.geometry(config.input);
     for head in &geometry.heads {
         let anchors: Vec<String> = head.mask.iter().map(|&m| config.anchors[m]).map(|[w, h]| format!("{w}x{h}")).collect();

@@ -21,7 +21,10 @@ fn a_model_goes_around_and_comes_back_the_same() {
     let imported = tcross(["model", "import", &at("net.cfg"), "--out", &at("own")]).good();
     assert!(imported.stderr.contains("yolov3-tiny x 0.0625 with 2 class(es); all 13 convolutions"), "{}", imported.stderr);
     let info = tcross(["model", "info", &at("own")]).good().stdout;
-    assert!(info.contains("head of stride 32: 13x13 cells, anchors 81x82, 135x169, 344x319") && info.contains("classes: cat, dog"), "{info}");
+    assert!(
+        info.contains("head of stride 32: 13x13 cells, anchors 81x82, 135x169, 344x319") && info.contains("classes: cat, dog"),
+        "{info}"
+    );
     for (format, file) in [("darknet", "again.cfg"), ("safetensors", "again.safetensors")] {
         tcross(["model", "export", &at("own"), "--to", format, "--out", &at(&format!("{format}/again"))]).good();
         assert_eq!(Model::load(dir.path().join(format).join(file)).unwrap().weights, model.weights, "{format}");
@@ -40,7 +43,11 @@ fn cuts_say_which_layers_they_held() {
     assert!(tcross(["model", "import", &at("net.conv.15"), "--out", &at("x")]).error(1).contains("name its cfg"));
     let taken = tcross(["model", "import", &at("net.conv.15"), "--cfg", &at("net.cfg"), "--out", &at("cut")]).good();
     assert!(taken.stderr.contains("9 of 13 convolutions (layers 0-14); the others are random"), "{}", taken.stderr);
-    assert!(tcross(["model", "export", &at("net.cfg"), "--to", "darknet", "--cut", "99", "--out", &at("y")]).error(2).contains("1 to 24 layers"));
+    assert!(
+        tcross(["model", "export", &at("net.cfg"), "--to", "darknet", "--cut", "99", "--out", &at("y")])
+            .error(2)
+            .contains("1 to 24 layers")
+    );
 }
 
 #[test]

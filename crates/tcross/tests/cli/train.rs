@@ -73,7 +73,9 @@ fn what_cannot_be_trained_is_told_before_the_first_step() {
     let dir = tempfile::tempdir().unwrap();
     let words = prepared(dir.path());
     let with = |set: &str| tcross(words.iter().map(String::as_str).chain(["--set", set]));
-    assert!(with("train.batch=4096").error(1).contains("free; lower train.batch") || cfg!(not(target_os = "linux")));
+    let huge = ["--set", "train.batch=4096", "--set", "train.multi_scale=[8192]"];
+    let huge = tcross(words.iter().map(String::as_str).chain(huge));
+    assert!(huge.error(1).contains("free; lower train.batch") || cfg!(not(target_os = "linux")));
     assert!(with("model.classes=2").error(1).contains("train.classes = 0 names: expected 2"));
     assert!(with("train.init='no.weights'").error(1).contains("no.weights"));
     assert!(with("model.anchors=[[1.0, 2.0]]").error(1).contains("model.anchors = 1 anchors: expected 6"));

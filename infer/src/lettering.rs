@@ -62,7 +62,9 @@ pub fn dots(text: &str) -> (Vec<(u32, u32)>, u32) {
     let letter = |(k, c): (usize, char)| {
         let rows = rows(c);
         (0..LETTER[1]).flat_map(move |row| {
-            (0..LETTER[0]).filter(move |column| rows[row as usize] >> (4 - column) & 1 == 1).map(move |column| (step * k as u32 + column, row))
+            (0..LETTER[0])
+                .filter(move |column| rows[row as usize] >> (4 - column) & 1 == 1)
+                .map(move |column| (step * k as u32 + column, row))
         })
     };
     let dots = text.chars().enumerate().flat_map(letter).collect();

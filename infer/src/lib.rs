@@ -12,6 +12,7 @@ pub mod camera;
 pub mod config;
 pub mod detector;
 pub mod error;
+pub mod lettering;
 pub mod overlay;
 pub mod pose;
 pub mod run;

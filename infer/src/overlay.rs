@@ -1,5 +1,5 @@
 //! Detections drawn on their picture: boxes, scores, corners, the orientation's arrow; a picture laid onto the marker; a cube.
-use crate::{camera::Camera, config::Config, run::RunOptions};
+use crate::{camera::Camera, config::Config, lettering, run::RunOptions};
 use image::{Rgb, RgbImage};
 use nalgebra::{Matrix3, Vector3};
 use tcross_dataset::{Detection, PixelBox, Pose, PoseOutcome};
@@ -24,7 +24,7 @@ pub fn draw(image: &RgbImage, found: &[Detection], config: &Config, options: &Ru
         }
     }
     for detection in shown {
-        canvas.detection(detection, replacement.is_some() || options.cube);
+        canvas.detection(detection, options.name_of(detection), replacement.is_some() || options.cube);
     }
     canvas.onto(&mut picture);
     picture
@@ -107,14 +107,14 @@ impl Canvas {
         path.finish()
     }
 
-    fn detection(&mut self, d: &Detection, bare: bool) {
+    fn detection(&mut self, d: &Detection, name: &str, bare: bool) {
         let PixelBox { x_min, y_min, x_max, y_max } = d.bounds;
         let corners = [[x_min, y_min], [x_max, y_min], [x_max, y_max], [x_min, y_max]];
         let refused = matches!(d.pose, Some(PoseOutcome::Refused { .. }));
         let colour = if refused { REFUSED } else { BOX };
         if !bare {
             self.stroke(Self::polygon(&corners, true), colour, self.pen);
-            self.label(&format!("{:.2}", d.score), x_min as f32, y_min as f32, colour);
+            self.label(format!("{name} {:.2}", d.score).trim_start(), x_min as f32, y_min as f32, colour);
         }
         if let (Some(PoseOutcome::Found(pose)), false) = (&d.pose, bare) {
             self.stroke(Self::polygon(&pose.corners.0, true), OUTLINE, self.pen);
@@ -160,10 +160,11 @@ impl Canvas {
         }
     }
 
-    /// Digits in a dark field above a point, pushed inside the picture.
+    /// Letters in a dark field above a point, pushed inside the picture.
     fn label(&mut self, text: &str, x: f32, y: f32, colour: [u8; 3]) {
-        let dot = (self.pen * 1.1).max(1.0).round();
-        let (w, h) = (text.len() as f32 * 4.0 * dot + dot, 7.0 * dot);
+        let dot = (self.pen * 0.8).max(1.0).round();
+        let (dots, columns) = lettering::dots(text);
+        let (w, h) = ((columns + 2) as f32 * dot, (lettering::LETTER[1] + 2) as f32 * dot);
         let x = x.clamp(0.0, (self.layer.width() as f32 - w).max(0.0)).round();
         let y = if y < h { y } else { y - h }.clamp(0.0, (self.layer.height() as f32 - h).max(0.0)).round();
         let mut fill = |x: f32, y: f32, w: f32, h: f32, colour: [u8; 3], alpha: u8| {
@@ -172,13 +173,8 @@ impl Canvas {
             }
         };
         fill(x, y, w, h, [0, 0, 0], 190);
-        for (k, c) in text.chars().enumerate() {
-            for bit in 0..15u16 {
-                if glyph(c) >> (14 - bit) & 1 == 1 {
-                    let (cx, cy) = (f32::from(bit % 3), f32::from(bit / 3));
-                    fill(x + dot * (1.0 + 4.0 * k as f32 + cx), y + dot * (1.0 + cy), dot, dot, colour, 255);
-                }
-            }
+        for (column, row) in dots {
+            fill(x + dot * (1 + column) as f32, y + dot * (1 + row) as f32, dot, dot, colour, 255);
         }
     }
 
@@ -196,22 +192,4 @@ fn paint(colour: [u8; 3], alpha: u8) -> Paint<'static> {
     paint.set_color(Color::from_rgba8(colour[0], colour[1], colour[2], alpha));
     paint.anti_alias = true;
     paint
-}
-
-/// Digits and the point in 3x5 dots, row by row from the top left.
-fn glyph(c: char) -> u16 {
-    match c {
-        '0' => 0b111_101_101_101_111,
-        '1' => 0b010_110_010_010_111,
-        '2' => 0b111_001_111_100_111,
-        '3' => 0b111_001_111_001_111,
-        '4' => 0b101_101_111_001_001,
-        '5' => 0b111_100_111_001_111,
-        '6' => 0b111_100_111_101_111,
-        '7' => 0b111_001_010_010_010,
-        '8' => 0b111_101_111_101_111,
-        '9' => 0b111_101_111_001_111,
-        '.' => 0b000_000_000_000_010,
-        _ => 0,
-    }
 }

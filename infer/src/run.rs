@@ -55,6 +55,15 @@ impl Boxes {
         Ok(Self::Given { path, lines })
     }
 
+    /// Names of the classes; empty where they are not known.
+    #[must_use]
+    pub fn names(&self) -> &[String] {
+        match self {
+            Self::Detector(detector) => &detector.model().names,
+            Self::Given { .. } => &[],
+        }
+    }
+
     fn of(&mut self, item: &Item, image: &RgbImage) -> Result<Vec<Detection>, InferError> {
         match self {
             Self::Detector(detector) => Ok(detector.detect(image)),
@@ -84,6 +93,16 @@ pub struct RunOptions {
     pub cube: bool,
     /// Folder for the pictures of the paper's steps.
     pub steps: Option<PathBuf>,
+    /// Names of the classes, written beside the scores of overlays; where there are none, or only one, scores stand alone.
+    pub names: Vec<String>,
+}
+
+impl RunOptions {
+    /// The name to write beside a detection; empty for none.
+    #[must_use]
+    pub fn name_of(&self, detection: &Detection) -> &str {
+        self.names.get(detection.class as usize).filter(|_| self.names.len() > 1).map_or("", String::as_str)
+    }
 }
 
 /// What happens while images are looked at.

@@ -93,6 +93,7 @@ pub fn run(args: Args) -> Outcome {
         replace: args.replace,
         cube: args.cube,
         steps: args.steps,
+        names: boxes.names().to_vec(),
     };
     let to_stdout = args.out.is_none();
     let report = work::infer(&mut boxes, &source, &config.infer, &options, |line| {

@@ -65,3 +65,28 @@ fn broken_files_are_told_with_offset_expected_and_found() {
     let long = info(&[&bytes[..], &[0; 12]].concat());
     assert!(long.contains(&format!("end of file: expected 0 bytes at offset {}, found 12", bytes.len())), "{long}");
 }
+
+/// The published weights on a photo, as a user detects with them.
+#[test]
+fn coco_is_detected_by_name() {
+    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
+    let shared = if beside.is_dir() { beside } else { std::env::var_os("TCROSS_SHARED").unwrap_or_default().into() };
+    let golden = shared.join("golden/darknet-tiny");
+    if !golden.is_dir() {
+        eprintln!("skipped: no reference data at {}", golden.display());
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| word(&dir.path().join(name));
+    let imported = tcross(["model", "import", &word(&golden.join("yolov3-tiny.cfg")), "--out", &at("coco")]).good();
+    assert!(imported.stderr.contains("yolov3-tiny x 1 with 80 class(es); all 13 convolutions"), "{}", imported.stderr);
+    let info = tcross(["model", "info", &at("coco")]).good().stdout;
+    assert!(info.contains("classes: person, bicycle, car") && info.contains("8858734 parameters, 5.565 GFLOP"), "{info}");
+    let photo = word(&golden.join("dog.jpg"));
+    tcross(["infer", &at("coco"), &photo, "--score", "0.5", "--out", &at("found.jsonl"), "--overlay", &at("overlay")]).good();
+    let found = tcross_dataset::detections::read(dir.path().join("found.jsonl")).unwrap();
+    let names = Model::load(dir.path().join("coco")).unwrap().config.names;
+    let found: Vec<&str> = found[0].detections.iter().map(|d| names[d.class as usize].as_str()).collect();
+    assert!(found.contains(&"dog") && found.contains(&"car"), "{found:?}");
+    assert_eq!(std::fs::read_dir(dir.path().join("overlay")).unwrap().count(), 1);
+}

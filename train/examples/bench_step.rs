@@ -12,8 +12,8 @@ use tcross_dataset::Rng;
 use tcross_kernels::allocator::Pool;
 use tcross_train::{
     Accelerator, Config,
-    config::{Optimizer, OptimizerKind},
     augment::{Input, View},
+    config::{Optimizer, OptimizerKind},
     data::{Batch, Request},
     step::Trainer,
 };

@@ -13,7 +13,7 @@ use std::{
     thread::JoinHandle,
 };
 use tcross_dataset::Rng;
-use tcross_yolo::{NetSize, Truth};
+use tcross_yolo::Truth;
 
 /// What a step learns from.
 #[derive(Debug, Clone, PartialEq)]
@@ -164,6 +164,7 @@ mod tests {
     use super::*;
     use crate::{augment::View, toy};
     use tcross_dataset::{Dataset, Split};
+    use tcross_yolo::NetSize;
 
     #[test]
     fn batches_do_not_depend_on_who_makes_them() {

@@ -43,7 +43,7 @@ def main():
             data = pathlib.Path(scratch) / "data"
             sets = [w for key, value in changes.items() for w in ("--set", f"data.{key}={value}")]
             subprocess.run([args.program, "datagen", ROOT / f"configs/presets/{preset}.toml", "--out", data, "--backgrounds", args.photos,
-                            "--images", str(images), "--seed", "42", "--quiet", *sets], check=True)
+                            "--images", str(images), "--seed", "42", "--quiet", "--set", "data.background.near_duplicates_together=false", *sets], check=True)
             subprocess.run([args.program, "dataset", "preview", data, "--split", "train", "--plain", "--images", str(2 * columns),
                             "--columns", str(columns), "--tile", str(tile), "--out", args.out / f"{name}.{args.ending}", "--quiet"], check=True)
             behind = {json.loads(line)["background"] for line in open(data / "train.jsonl")}
@@ -53,8 +53,7 @@ def main():
             credits[photo] = f"{row.get('author') or 'not recorded'} ({row.get('source')}, {row.get('photo_id') or row.get('path_in_source')})"
     page += ["", "Photographs behind the markers (Unsplash and Pexels licences, and the licences of the wallpapers' packages):", ""]
     page += [f"- {credit}" for credit in sorted(set(credits.values()))]
-    if not args.only:
-        (args.out / "README.md").write_text("\n".join(page) + "\n")
+    (args.out / "README.md").write_text("\n".join(page) + "\n")
 
 
 if __name__ == "__main__":

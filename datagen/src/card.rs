@@ -154,7 +154,7 @@ fn croissant(manifest: &Manifest, dir: &Path) -> Result<Value, DatagenError> {
         "name": story.name,
         "description": story.description,
         "version": format!("{}.0.0", manifest.format),
-        "creator": { "@type": "sc:SoftwareApplication", "name": "tcross datagen", "softwareVersion": manifest.version },
+        "creator": { "@type": "sc:Organization", "name": "The T-cross project" },
         "keywords": ["fiducial marker", "object detection", "pose estimation", "synthetic data"],
         "isLiveDataset": false,
         "distribution": files,

@@ -1,103 +1,135 @@
-//! The pose's marks over many drawn markers at 1280x720: `cargo run --release -p tcross-infer --example pose_study -- --help`.
+//! The pose's marks over a dataset, from true boxes, by our method and the paper's, and the share of empty boxes that are refused:
+//! `cargo run --release -p tcross-infer --example pose_study -- --help`.
 #![allow(clippy::print_stdout)]
 #[path = "support/marks.rs"]
 mod marks;
-#[path = "../tests/integration/scene.rs"]
-#[allow(dead_code)]
-mod scene;
 
 use image::RgbImage;
 use marks::{Marks, Trial};
-use scene::Style;
-use std::{path::PathBuf, time::Instant};
-use tcross_dataset::{PoseOutcome, Rng};
-use tcross_infer::pose::{self, Config, Method};
+use nalgebra::{SMatrix, SVector};
+use rayon::prelude::*;
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+    time::Instant,
+};
+use tcross_dataset::{Dataset, Detection, ImageDetections, PixelBox, PoseOutcome, Record, Rng, Split, detections, files};
+use tcross_infer::{
+    pose::{self, Config, Method, model::FEATURES},
+    read_image,
+};
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
+const HELP: &str = "pose_study DATASET [--out DIR] [--method model|paper|both] [--jitter SHARE] [--threads N]
+pose_study --empty N --photos DIR [--method model|paper|both]
+pose_study DATASET --fit N --photos DIR [--dump FILE]
+
+DATASET: a dataset's folder; all its splits are used. --out writes truth.jsonl and a detections file a method, for
+`tcross eval DIR/truth.jsonl DIR/model.jsonl DIR/paper.jsonl --protocol pose --out DIR/eval`, which draws the curves.
+--jitter moves each side of a box by up to that share of its length. Times are good for something with --threads 1, the default.
+--empty: N boxes of 24 to 400 px on photos without a marker.
+--fit: the quality's weights, by logistic regression of right poses of the dataset against all else and against N empty boxes.";
+
+type Failed = Box<dyn std::error::Error + Send + Sync>;
+
+fn main() -> Result<(), Failed> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let value = |name: &str| args.iter().position(|a| a == name).and_then(|i| args.get(i + 1)).cloned();
-    if args.iter().any(|a| a == "--help") {
-        println!("pose_study [--images N] [--backgrounds DIR] [--jitter SHARE] [--method model|paper|both] [--failures DIR] [--empty N]");
-        return Ok(());
-    }
-    let images: u64 = value("--images").map_or(Ok(300), |v| v.parse())?;
-    let jitter: f64 = value("--jitter").map_or(Ok(0.0), |v| v.parse())?;
-    let wanted = value("--method").unwrap_or_else(|| "both".into());
-    let failures = value("--failures").map(PathBuf::from);
-    let photos = value("--backgrounds").map(photos).transpose()?.unwrap_or_default();
-    let methods: Vec<Method> = match wanted.as_str() {
-        "model" => vec![Method::Model],
-        "paper" => vec![Method::Paper],
+    let number = |name: &str, default: f64| value(name).map_or(Ok(default), |v| v.parse::<f64>());
+    let methods = match value("--method").as_deref() {
+        Some("model") => vec![Method::Model],
+        Some("paper") => vec![Method::Paper],
         _ => vec![Method::Model, Method::Paper],
     };
-    let mut trials: Vec<Vec<Trial>> = vec![Vec::new(); methods.len()];
-    for index in 0..images {
-        let mut rng = Rng::for_item(14, "study/pose", index);
-        let mut image = background(&photos, &mut rng);
-        let drawn = scene::draw(&mut image, &Style::default(), &mut rng);
-        let mut bounds = drawn.bounds;
-        if jitter > 0.0 {
-            let (w, h) = (bounds.width(), bounds.height());
-            bounds.x_min += jitter * w * rng.uniform(-1.0, 1.0);
-            bounds.x_max += jitter * w * rng.uniform(-1.0, 1.0);
-            bounds.y_min += jitter * h * rng.uniform(-1.0, 1.0);
-            bounds.y_max += jitter * h * rng.uniform(-1.0, 1.0);
+    rayon::ThreadPoolBuilder::new().num_threads(number("--threads", 1.0)? as usize).build_global()?;
+    if let (Some(dataset), Some(photos), Some(_)) = (args.first(), value("--photos"), value("--fit")) {
+        return fit(Path::new(dataset), Path::new(&photos), number("--fit", 2000.0)? as u64, value("--dump"));
+    }
+    if let Some(photos) = value("--photos") {
+        return empty(Path::new(&photos), number("--empty", 2000.0)? as u64, &methods);
+    }
+    match args.first() {
+        Some(dataset) if !dataset.starts_with("--") => {
+            study(Path::new(dataset), &methods, number("--jitter", 0.0)?, value("--out").map(PathBuf::from))
         }
-        for (method, trials) in methods.iter().zip(&mut trials) {
-            let config = Config { method: *method, ..Config::default() };
-            let start = Instant::now();
-            let outcome = pose::recover(&image, &bounds, &config);
-            let ms = start.elapsed().as_secs_f64() * 1e3;
-            let trial = Trial::new(&drawn.corners, drawn.bounds.width(), drawn.tilt_deg, drawn.blur_px, outcome, ms);
-            if let (Some(dir), true) = (&failures, trial.is_bad()) {
-                std::fs::create_dir_all(dir)?;
-                let pad = 0.3 * bounds.width().max(bounds.height());
-                let b = &bounds;
-                let (x, y) = ((b.x_min - pad).max(0.0) as u32, (b.y_min - pad).max(0.0) as u32);
-                let crop = image::imageops::crop_imm(&image, x, y, (b.width() + 2.0 * pad) as u32, (b.height() + 2.0 * pad) as u32);
-                crop.to_image().save(dir.join(format!("{index:05}-{method:?}.png")))?;
-                match &trial.outcome {
-                    PoseOutcome::Refused { refused } => println!(
-                        "{index} {method:?}: {refused}; width {:.0} tilt {:.0} blur {:.1}",
-                        trial.width_px, trial.tilt_deg, trial.blur_px
-                    ),
-                    PoseOutcome::Found(p) => println!(
-                        "{index} {method:?}: wrong by {:.1} deg, corners {:.1} %, quality {:.2}; width {:.0} tilt {:.0} blur {:.1}",
-                        trial.angle_deg, trial.corner_percent, p.quality, trial.width_px, trial.tilt_deg, trial.blur_px
-                    ),
+        _ => {
+            println!("{HELP}");
+            Ok(())
+        }
+    }
+}
+
+fn configured(method: Method) -> Config {
+    Config { method, ..Config::default() }
+}
+
+fn name(method: Method) -> &'static str {
+    if method == Method::Model { "model" } else { "paper" }
+}
+
+fn study(dir: &Path, methods: &[Method], jitter: f64, out: Option<PathBuf>) -> Result<(), Failed> {
+    let dataset = Dataset::open(dir)?;
+    let records = records(dir, &dataset)?;
+    let moved = |b: &PixelBox, rng: &mut Rng| -> PixelBox {
+        let (w, h) = (jitter * b.width(), jitter * b.height());
+        let mut by = |v: f64, size: f64| if jitter > 0.0 { v + size * rng.uniform(-1.0, 1.0) } else { v };
+        [by(b.x_min, w), by(b.y_min, h), by(b.x_max, w), by(b.y_max, h)].into()
+    };
+    for method in methods {
+        let config = configured(*method);
+        let looked: Vec<(ImageDetections, Vec<Trial>)> = records
+            .par_iter()
+            .enumerate()
+            .map(|(index, record)| {
+                let image = read_image(&dataset.image_path(record))?;
+                let mut rng = Rng::for_item(14, "study/jitter", index as u64);
+                let (mut found, mut trials) = (Vec::new(), Vec::new());
+                for marker in &record.markers {
+                    let bounds = moved(&marker.bounds, &mut rng);
+                    let start = Instant::now();
+                    let outcome = pose::recover(&image, &bounds, &config);
+                    let ms = start.elapsed().as_secs_f64() * 1e3;
+                    found.push(Detection { score: 1.0, class: 0, bounds: marker.bounds, pose: Some(outcome.clone()) });
+                    trials.extend(Trial::new(marker, outcome, ms));
                 }
-            }
-            trials.push(trial);
-        }
-    }
-    let empty: u64 = value("--empty").map_or(Ok(0), |v| v.parse())?;
-    for method in methods.iter().filter(|_| empty > 0) {
-        let config = Config { method: *method, ..Config::default() };
-        let mut refused = 0;
-        let mut qualities = Vec::new();
-        for index in 0..empty {
-            let mut rng = Rng::for_item(14, "study/empty", index);
-            let image = background(&photos, &mut rng);
-            let (w, h) = (rng.log_uniform(24.0, 400.0), rng.log_uniform(24.0, 400.0));
-            let (w, h) = (w.max(h / 2.5), h.max(w / 2.5));
-            let (x, y) = (rng.uniform(0.0, 1280.0 - w), rng.uniform(0.0, 720.0 - h));
-            match pose::recover(&image, &[x, y, x + w, y + h].into(), &config) {
-                PoseOutcome::Refused { .. } => refused += 1,
-                PoseOutcome::Found(p) => qualities.push(p.quality),
+                let (width, height) = (record.width, record.height);
+                Ok((ImageDetections { image: record.image.clone(), width, height, detections: found, ms: None }, trials))
+            })
+            .collect::<Result<_, Failed>>()?;
+        let trials: Vec<Trial> = looked.iter().flat_map(|l| l.1.clone()).collect();
+        println!("{}\n{}", name(*method), Marks::of(&trials));
+        let mut reasons: BTreeMap<&str, usize> = BTreeMap::new();
+        for trial in &trials {
+            if let PoseOutcome::Refused { refused } = &trial.outcome {
+                *reasons.entry(refused).or_default() += 1;
             }
         }
-        qualities.sort_by(f64::total_cmp);
-        println!("{method:?}: {refused} of {empty} boxes without a marker refused; qualities of the others {qualities:.2?}");
+        println!("  refused                {reasons:?}");
+        if let Some(out) = &out {
+            files::create_dir(out)?;
+            detections::write(out.join(format!("{}.jsonl", name(*method))), looked.iter().map(|l| &l.0))?;
+        }
     }
-    for (method, trials) in methods.iter().zip(&trials) {
-        println!("{method:?}\n{}", Marks::of(trials));
+    if let Some(out) = &out {
+        files::write_jsonl(out.join("truth.jsonl"), &records)?;
     }
     Ok(())
 }
 
-fn photos(dir: String) -> Result<Vec<RgbImage>, Box<dyn std::error::Error>> {
+/// All splits: no method learns from any of them.
+fn records(dir: &Path, dataset: &Dataset) -> Result<Vec<Record>, Failed> {
+    let mut records: Vec<Record> = Vec::new();
+    for split in Split::ALL {
+        if dir.join(format!("{split}.jsonl")).is_file() {
+            records.extend(dataset.records(split)?);
+        }
+    }
+    Ok(records)
+}
+
+/// Calls `look` with boxes on photos without a marker: what a detector that errs would hand over.
+fn on_photos<T: Send>(photos: &Path, boxes: u64, look: impl Fn(&RgbImage, &PixelBox) -> T + Sync) -> Result<Vec<T>, Failed> {
     let mut paths = Vec::new();
-    let mut folders = vec![PathBuf::from(dir)];
+    let mut folders = vec![photos.to_owned()];
     while let Some(folder) = folders.pop() {
         for entry in std::fs::read_dir(folder)? {
             let path = entry?.path();
@@ -109,11 +141,103 @@ fn photos(dir: String) -> Result<Vec<RgbImage>, Box<dyn std::error::Error>> {
         }
     }
     paths.sort();
-    let every = (paths.len() / 60).max(1);
-    let open = |p: &PathBuf| Ok(image::open(p)?.resize_to_fill(1280, 720, image::imageops::FilterType::Triangle).to_rgb8());
-    paths.iter().step_by(every).map(open).collect()
+    if paths.is_empty() {
+        return Err(format!("{}: no .jpg below", photos.display()).into());
+    }
+    let each = boxes.div_ceil(paths.len() as u64);
+    let looked: Vec<Vec<T>> = paths
+        .par_iter()
+        .enumerate()
+        .map(|(k, path)| {
+            let image: RgbImage = image::open(path)?.resize_to_fill(1280, 720, image::imageops::FilterType::Triangle).to_rgb8();
+            let first = k as u64 * each;
+            let boxes = (first..(first + each).min(boxes)).map(|index| {
+                let mut rng = Rng::for_item(14, "study/empty", index);
+                let (w, h) = (rng.log_uniform(24.0, 400.0), rng.log_uniform(24.0, 400.0));
+                let (w, h) = (w.max(h / 2.5), h.max(w / 2.5));
+                let (x, y) = (rng.uniform(0.0, 1280.0 - w), rng.uniform(0.0, 720.0 - h));
+                look(&image, &[x, y, x + w, y + h].into())
+            });
+            Ok(boxes.collect())
+        })
+        .collect::<Result<_, Failed>>()?;
+    Ok(looked.into_iter().flatten().collect())
 }
 
-fn background(photos: &[RgbImage], rng: &mut Rng) -> RgbImage {
-    if photos.is_empty() { scene::clutter(1280, 720, rng) } else { rng.choose(photos).clone() }
+fn empty(photos: &Path, boxes: u64, methods: &[Method]) -> Result<(), Failed> {
+    let looked = on_photos(photos, boxes, |image, b| methods.iter().map(|m| pose::recover(image, b, &configured(*m))).collect::<Vec<_>>())?;
+    for (k, method) in methods.iter().enumerate() {
+        let mut claimed: Vec<f64> =
+            looked.iter().filter_map(|answers| if let PoseOutcome::Found(p) = &answers[k] { Some(p.quality) } else { None }).collect();
+        claimed.sort_by(f64::total_cmp);
+        let refused = looked.len() - claimed.len();
+        let percent = 100.0 * refused as f64 / looked.len().max(1) as f64;
+        println!("{}: {refused} of {} empty boxes refused ({percent:.2} %); qualities of the others {claimed:.2?}", name(*method), looked.len());
+    }
+    Ok(())
+}
+
+/// Fits the quality: right poses (centre within 6 %, corners within 10 %) against wrong ones and empty boxes.
+fn fit(dir: &Path, photos: &Path, boxes: u64, dump: Option<String>) -> Result<(), Failed> {
+    let config = configured(Method::Model);
+    let dataset = Dataset::open(dir)?;
+    let markers: Vec<Vec<([f64; FEATURES.len()], bool)>> = records(dir, &dataset)?
+        .par_iter()
+        .enumerate()
+        .map(|(k, record)| {
+            let image = read_image(&dataset.image_path(record))?;
+            // Every other box as a detector would place it.
+            let mut rng = Rng::for_item(14, "study/fit", k as u64);
+            let mut moved = |v: f64, size: f64| if k % 2 == 0 { v } else { v + 0.06 * size * rng.uniform(-1.0, 1.0) };
+            let seen = record.markers.iter().flat_map(|marker| {
+                let (b, w, h) = (&marker.bounds, marker.bounds.width(), marker.bounds.height());
+                let bounds = [moved(b.x_min, w), moved(b.y_min, h), moved(b.x_max, w), moved(b.y_max, h)].into();
+                let all = pose::model::considered(&image, &bounds, &config).into_iter();
+                all.filter_map(move |(pose, evidence)| {
+                    let trial = Trial::new(marker, PoseOutcome::Found(Box::new(pose)), 0.0)?;
+                    Some((evidence.features, trial.center_percent < 6.0 && trial.corner_percent < 10.0))
+                })
+            });
+            Ok(seen.collect())
+        })
+        .collect::<Result<_, Failed>>()?;
+    let patches = on_photos(photos, boxes, |image, b| {
+        pose::model::considered(image, b, &config).into_iter().map(|(_, e)| (e.features, false)).collect::<Vec<_>>()
+    })?;
+    let rows: Vec<([f64; FEATURES.len()], bool)> = markers.into_iter().flatten().chain(patches.into_iter().flatten()).collect();
+    if let Some(path) = dump {
+        let line = |(f, right): &([f64; FEATURES.len()], bool)| {
+            format!("{} {}\n", f.map(|v| format!("{v:.4}")).join(" "), u8::from(*right))
+        };
+        std::fs::write(path, rows.iter().map(line).collect::<String>())?;
+    }
+    let weights = logistic(&rows);
+    println!("{} rows, {} right", rows.len(), rows.iter().filter(|r| r.1).count());
+    println!("{:9.4}  bias", weights[0]);
+    for (name, weight) in FEATURES.iter().zip(&weights[1..]) {
+        println!("{weight:9.4}  {name}");
+    }
+    Ok(())
+}
+
+/// Logistic regression by Newton's method with a slight pull towards zero.
+fn logistic(rows: &[([f64; FEATURES.len()], bool)]) -> Vec<f64> {
+    const N: usize = FEATURES.len() + 1;
+    let mut weights = SVector::<f64, N>::zeros();
+    for _ in 0..30 {
+        let mut normal = SMatrix::<f64, N, N>::identity() * 0.5;
+        let mut right = -weights * 0.5;
+        for (features, is_right) in rows {
+            let x = SVector::<f64, N>::from_fn(|i, _| if i == 0 { 1.0 } else { features[i - 1] });
+            let p = 1.0 / (1.0 + (-weights.dot(&x)).exp());
+            right += x * (f64::from(u8::from(*is_right)) - p);
+            normal += x * x.transpose() * (p * (1.0 - p)).max(1e-6);
+        }
+        let Some(step) = normal.cholesky().map(|c| c.solve(&right)) else { break };
+        weights += step;
+        if step.norm() < 1e-6 {
+            break;
+        }
+    }
+    weights.iter().copied().collect()
 }

@@ -19,6 +19,38 @@ pub struct Camera {
     pub distortion: [f64; 5],
 }
 
+/// A camera as a user knows it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Lens {
+    /// Calibrated, for images of one size.
+    Known(Camera),
+    /// Horizontal field of view in degrees; the axis in the middle of the image, no distortion.
+    FieldOfView(f64),
+}
+
+impl Lens {
+    /// The camera of an image of this size.
+    #[must_use]
+    pub fn camera(&self, width: u32, height: u32) -> Camera {
+        match self {
+            Self::Known(camera) => *camera,
+            Self::FieldOfView(degrees) => Camera::from_half_angle(degrees.to_radians() / 2.0, width, height),
+        }
+    }
+}
+
+impl std::str::FromStr for Lens {
+    type Err = InferError;
+
+    /// One number is a horizontal field of view in degrees; several are [`Camera`]'s.
+    fn from_str(text: &str) -> Result<Self, InferError> {
+        match text.trim().parse::<f64>() {
+            Ok(degrees) => Camera::from_field_of_view(degrees, 1, 1).map(|_| Self::FieldOfView(degrees)),
+            Err(_) => text.parse().map(Self::Known),
+        }
+    }
+}
+
 /// One rotation and translation, and how well it fits.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Solution {
@@ -53,7 +85,7 @@ impl std::str::FromStr for Camera {
     /// `fx,fy,cx,cy` in pixels, then up to five numbers of distortion `k1,k2,p1,p2,k3`.
     fn from_str(text: &str) -> Result<Self, InferError> {
         let wrong =
-            || InferError::Value { key: "camera", found: text.into(), allowed: "fx,fy,cx,cy[,k1,k2[,p1,p2[,k3]]] with fx and fy above 0" };
+            || InferError::Value { key: "camera", found: text.into(), allowed: "fx,fy,cx,cy[,k1,k2[,p1,p2[,k3]]] in pixels with fx and fy above 0, or a field of view in degrees" };
         let numbers = text.split(',').map(|v| v.trim().parse::<f64>()).collect::<Result<Vec<_>, _>>().map_err(|_| wrong())?;
         if !(4..=9).contains(&numbers.len()) || numbers.iter().any(|v| !v.is_finite()) || numbers[0] <= 0.0 || numbers[1] <= 0.0 {
             return Err(wrong());
@@ -74,9 +106,12 @@ impl Camera {
         if !(degrees > 0.0 && degrees < 180.0) {
             return Err(InferError::Value { key: "field of view", found: degrees.to_string(), allowed: "degrees above 0 and below 180" });
         }
+        Ok(Self::from_half_angle(degrees.to_radians() / 2.0, width, height))
+    }
+
+    fn from_half_angle(radians: f64, width: u32, height: u32) -> Self {
         let (w, h) = (f64::from(width), f64::from(height));
-        let focal = w / 2.0 / (degrees.to_radians() / 2.0).tan();
-        Ok(Self { focal: [focal; 2], center: [w / 2.0, h / 2.0], distortion: [0.0; 5] })
+        Self { focal: [w / 2.0 / radians.tan(); 2], center: [w / 2.0, h / 2.0], distortion: [0.0; 5] }
     }
 
     /// A point of the camera's frame in the image; `None` behind the camera.

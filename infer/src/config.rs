@@ -1,5 +1,5 @@
 //! The `[infer]` section.
-use crate::{error::InferError, pose};
+use crate::{error::InferError, pose, video::smooth};
 use serde::{Deserialize, Serialize};
 
 /// How detections are made from images.
@@ -20,11 +20,13 @@ pub struct Config {
     pub overlay_score: f64,
     /// How poses are recovered.
     pub recovery: pose::Config,
+    /// How poses of videos and cameras are smoothed over time.
+    pub smoothing: smooth::Config,
 }
 
 impl Default for Config {
     fn default() -> Self {
-        Self { score: 0.05, nms: 0.45, most: 200, pose: false, pose_filter: false, overlay_score: 0.3, recovery: pose::Config::default() }
+        Self { score: 0.05, nms: 0.45, most: 200, pose: false, pose_filter: false, overlay_score: 0.3, recovery: pose::Config::default(), smoothing: smooth::Config::default() }
     }
 }
 
@@ -46,6 +48,7 @@ impl Config {
         share("infer.overlay_score", self.overlay_score)?;
         share("infer.recovery.padding", self.recovery.padding)?;
         share("infer.recovery.min_quality", self.recovery.min_quality)?;
+        self.smoothing.validate()?;
         if self.most == 0 {
             return Err(InferError::Value { key: "infer.most", found: "0".into(), allowed: "1 or more" });
         }

@@ -17,10 +17,12 @@ pub mod overlay;
 pub mod pose;
 pub mod run;
 pub mod source;
+pub mod video;
 
-pub use camera::Camera;
+pub use camera::{Camera, Lens};
 pub use config::Config;
 pub use detector::Detector;
 pub use error::InferError;
 pub use run::{Boxes, Progress, RunOptions, RunReport, run};
 pub use source::{Source, read_image};
+pub use video::VideoReport;

@@ -1,5 +1,10 @@
 //! Detections drawn on their picture: boxes, scores, corners, the orientation's arrow; a picture laid onto the marker; a cube.
-use crate::{camera::Camera, config::Config, lettering, run::RunOptions};
+use crate::{
+    camera::{Camera, Lens},
+    config::Config,
+    lettering,
+    run::RunOptions,
+};
 use image::{Rgb, RgbImage};
 use nalgebra::{Matrix3, Vector3};
 use tcross_dataset::{Detection, PixelBox, Pose, PoseOutcome};
@@ -18,10 +23,8 @@ pub fn draw(image: &RgbImage, found: &[Detection], config: &Config, options: &Ru
     }
     let Some(mut canvas) = Canvas::new(&picture) else { return picture };
     if options.cube {
-        let fallback = Camera::from_field_of_view(60.0, picture.width(), picture.height()).ok();
-        if let Some(camera) = options.camera.or(fallback) {
-            poses().for_each(|pose| canvas.cube(pose, &camera));
-        }
+        let camera = options.camera.unwrap_or(Lens::FieldOfView(60.0)).camera(picture.width(), picture.height());
+        poses().for_each(|pose| canvas.cube(pose, &camera));
     }
     for detection in shown {
         canvas.detection(detection, options.name_of(detection), replacement.is_some() || options.cube);

@@ -1,10 +1,12 @@
 //! Many images in, one JSON line an image out, with poses and overlays where asked for.
 use crate::{
+    camera::Lens,
     config::Config,
     detector::Detector,
     error::InferError,
     overlay, pose,
-    source::{Item, Source, read_image},
+    source::{Source, read_image},
+    video::Smoother,
 };
 use image::RgbImage;
 use std::{
@@ -16,7 +18,7 @@ use std::{
     time::Instant,
 };
 use tcross_dataset::{
-    Detection, ImageDetections, PoseOutcome,
+    Detection, ImageDetections, Pose, PoseOutcome,
     detections::{self, StageTimes},
     files,
 };
@@ -64,12 +66,12 @@ impl Boxes {
         }
     }
 
-    fn of(&mut self, item: &Item, image: &RgbImage) -> Result<Vec<Detection>, InferError> {
+    fn of(&mut self, name: &str, image: &RgbImage) -> Result<Vec<Detection>, InferError> {
         match self {
             Self::Detector(detector) => Ok(detector.detect(image)),
-            Self::Given { path, lines } => lines.get(&item.name).cloned().ok_or_else(|| InferError::NoBoxes {
+            Self::Given { path, lines } => lines.get(name).cloned().ok_or_else(|| InferError::NoBoxes {
                 boxes: path.clone(),
-                image: item.name.clone(),
+                image: name.to_owned(),
                 lines: lines.len(),
             }),
         }
@@ -84,7 +86,7 @@ pub struct RunOptions {
     /// Folder for pictures with the detections drawn on them.
     pub overlay: Option<PathBuf>,
     /// The camera, for poses in space.
-    pub camera: Option<crate::camera::Camera>,
+    pub camera: Option<Lens>,
     /// Side of the markers, in the unit in which positions are wanted; 1 for sides.
     pub side: Option<f64>,
     /// A picture drawn over each marker with its perspective.
@@ -141,6 +143,23 @@ pub struct RunReport {
     pub stopped: bool,
 }
 
+impl RunReport {
+    /// Counts what one picture showed; where `filter` is on, refused detections are dropped before detections are counted.
+    pub(crate) fn count(&mut self, found: &mut Vec<Detection>, filter: bool) {
+        for outcome in found.iter().filter_map(|d| d.pose.as_ref()) {
+            match outcome {
+                PoseOutcome::Found(_) => self.poses += 1,
+                PoseOutcome::Refused { .. } => self.refused += 1,
+            }
+        }
+        if filter {
+            found.retain(|d| !matches!(d.pose, Some(PoseOutcome::Refused { .. })));
+        }
+        self.images += 1;
+        self.detections += found.len();
+    }
+}
+
 /// Looks at every image of `source` in order; `progress` returns false to stop after the current image. The next image is
 /// read while the current one is looked at.
 ///
@@ -188,34 +207,17 @@ pub fn run(
                     continue;
                 }
             };
-            let start = Instant::now();
-            let mut found = boxes.of(item, &image)?;
-            let network = ms_since(start);
-            let start = Instant::now();
-            if config.pose {
-                add_poses(&image, &mut found, config, options);
-            }
+            let mut looked = look(boxes, &item.name, &image, config, options, None)?;
             if let Some(dir) = &options.steps {
-                write_steps(dir, item, &image, &found, config)?;
+                write_steps(dir, &item.name, &image, &looked.found, config)?;
             }
-            let pose_ms = config.pose.then(|| ms_since(start));
-            for outcome in found.iter().filter_map(|d| d.pose.as_ref()) {
-                match outcome {
-                    PoseOutcome::Found(_) => report.poses += 1,
-                    PoseOutcome::Refused { .. } => report.refused += 1,
-                }
-            }
-            if config.pose_filter {
-                found.retain(|d| !matches!(d.pose, Some(PoseOutcome::Refused { .. })));
-            }
-            report.images += 1;
-            report.detections += found.len();
+            report.count(&mut looked.found, config.pose_filter);
             let line = ImageDetections {
                 image: item.name.clone(),
                 width: image.width(),
                 height: image.height(),
-                detections: found,
-                ms: Some(StageTimes { decode, network, pose: pose_ms }),
+                detections: looked.found,
+                ms: Some(StageTimes { decode, network: looked.network_ms, pose: looked.pose_ms }),
             };
             if let Some(sink) = &mut sink {
                 sink.write(&line)?;
@@ -241,21 +243,50 @@ pub fn run(
     }
 }
 
-/// Adds poses to the detections of one image.
-pub fn add_poses(image: &RgbImage, found: &mut [Detection], config: &Config, options: &RunOptions) {
-    for detection in found {
-        let mut outcome = pose::recover(image, &detection.bounds, &config.recovery);
-        if let (PoseOutcome::Found(pose), Some(camera)) = (&mut outcome, &options.camera) {
-            camera.locate(pose, options.side.unwrap_or(1.0));
-        }
-        detection.pose = Some(outcome);
+/// What one picture showed.
+pub(crate) struct Looked {
+    pub(crate) found: Vec<Detection>,
+    pub(crate) network_ms: f64,
+    pub(crate) pose_ms: Option<f64>,
+}
+
+/// Detections of one picture with their poses; `smoother` is told at which second it was taken.
+pub(crate) fn look(
+    boxes: &mut Boxes,
+    name: &str,
+    image: &RgbImage,
+    config: &Config,
+    options: &RunOptions,
+    smoother: Option<(&mut Smoother, f64)>,
+) -> Result<Looked, InferError> {
+    let start = Instant::now();
+    let mut found = boxes.of(name, image)?;
+    let network_ms = ms_since(start);
+    if !config.pose {
+        return Ok(Looked { found, network_ms, pose_ms: None });
     }
+    let start = Instant::now();
+    for detection in &mut found {
+        detection.pose = Some(pose::recover(image, &detection.bounds, &config.recovery));
+    }
+    if let Some((smoother, secs)) = smoother {
+        smoother.smooth(secs, poses(&mut found));
+    }
+    if let Some(lens) = options.camera {
+        let camera = lens.camera(image.width(), image.height());
+        poses(&mut found).for_each(|pose| camera.locate(pose, options.side.unwrap_or(1.0)));
+    }
+    Ok(Looked { found, network_ms, pose_ms: Some(ms_since(start)) })
+}
+
+fn poses(found: &mut [Detection]) -> impl Iterator<Item = &mut Pose> {
+    found.iter_mut().filter_map(|d| if let Some(PoseOutcome::Found(pose)) = &mut d.pose { Some(&mut **pose) } else { None })
 }
 
 /// Writes the pictures of the paper's steps, a folder for each detection: `DIR/NAME-0/1-crop.png`.
-fn write_steps(dir: &std::path::Path, item: &Item, image: &RgbImage, found: &[Detection], config: &Config) -> Result<(), InferError> {
+fn write_steps(dir: &Path, name: &str, image: &RgbImage, found: &[Detection], config: &Config) -> Result<(), InferError> {
     for (index, detection) in found.iter().enumerate() {
-        let stem = overlay_name(&item.name).with_extension("");
+        let stem = overlay_name(name).with_extension("");
         let folder = dir.join(format!("{}-{index}", stem.to_string_lossy()));
         files::create_dir(&folder)?;
         let mut result = Ok(());
@@ -273,7 +304,7 @@ fn write_steps(dir: &std::path::Path, item: &Item, image: &RgbImage, found: &[De
     Ok(())
 }
 
-fn ms_since(start: Instant) -> f64 {
+pub(crate) fn ms_since(start: Instant) -> f64 {
     start.elapsed().as_secs_f64() * 1e3
 }
 
@@ -283,21 +314,21 @@ fn overlay_name(name: &str) -> PathBuf {
     PathBuf::from(flat).with_extension("jpg")
 }
 
-fn save(picture: &RgbImage, path: &std::path::Path) -> Result<(), InferError> {
+fn save(picture: &RgbImage, path: &Path) -> Result<(), InferError> {
     let file = File::create(path).map_err(|e| InferError::io(path, e))?;
     let encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(BufWriter::new(file), 92);
     picture.write_with_encoder(encoder).map_err(|e| InferError::Picture { path: path.to_owned(), message: e.to_string() })
 }
 
 /// A detections file written line by line under a temporary name.
-struct Sink {
+pub(crate) struct Sink {
     partial: PathBuf,
     path: PathBuf,
     file: BufWriter<File>,
 }
 
 impl Sink {
-    fn create(path: &Path) -> Result<Self, InferError> {
+    pub(crate) fn create(path: &Path) -> Result<Self, InferError> {
         let mut name = path.file_name().unwrap_or_default().to_owned();
         name.push(".partial");
         let partial = path.with_file_name(name);
@@ -308,13 +339,13 @@ impl Sink {
         Ok(Self { partial, path: path.to_owned(), file: BufWriter::new(file) })
     }
 
-    fn write(&mut self, line: &ImageDetections) -> Result<(), InferError> {
+    pub(crate) fn write(&mut self, line: &ImageDetections) -> Result<(), InferError> {
         let io = |e: std::io::Error| InferError::io(&self.partial, e);
         serde_json::to_writer(&mut self.file, line).map_err(|e| io(e.into()))?;
         self.file.write_all(b"\n").map_err(io)
     }
 
-    fn finish(mut self) -> Result<(), InferError> {
+    pub(crate) fn finish(mut self) -> Result<(), InferError> {
         self.file.flush().map_err(|e| InferError::io(&self.partial, e))?;
         std::fs::rename(&self.partial, &self.path).map_err(|e| InferError::io(&self.path, e))
     }

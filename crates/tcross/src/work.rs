@@ -134,6 +134,36 @@ pub fn infer(
     Ok(report)
 }
 
+/// Looks at every frame of a video or a camera; `show` gets each line of detections.
+pub fn watch(
+    boxes: &mut Boxes,
+    input: &tcross_infer::video::Input,
+    rate: Option<f64>,
+    config: &tcross_infer::Config,
+    options: &tcross_infer::RunOptions,
+    mut show: impl FnMut(&tcross_dataset::ImageDetections),
+) -> Outcome<tcross_infer::VideoReport> {
+    let mut bar = Progress::new("infer", 0);
+    let started = std::time::Instant::now();
+    let stop = stop::flag();
+    let report = tcross_infer::video::run(boxes, input, rate, config, options, &mut |news| {
+        if let tcross_infer::Progress::Done { images, of, line } = news {
+            let ms = line.ms.unwrap_or_default();
+            let rate = images as f64 / started.elapsed().as_secs_f64().max(1e-9);
+            let message = format!("{rate:.1} frames/s, {:.1} ms network, {:.1} ms pose", ms.network, ms.pose.unwrap_or(0.0));
+            bar.at(images as u64, of.max(images) as u64, &message);
+            show(line);
+        }
+        !stop.load(Ordering::Relaxed)
+    })?;
+    drop(bar);
+    // A camera has no end of its own: stopping it is how it is finished.
+    if report.run.stopped && !input.is_live() {
+        return Err(Failure::Interrupted { kept: format!("{} frames are done", report.run.images) });
+    }
+    Ok(report)
+}
+
 /// What a training's log and a report say of the machine and the program.
 pub fn provenance() -> Vec<(String, String)> {
     let cpu = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();

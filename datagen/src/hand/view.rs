@@ -120,6 +120,12 @@ impl View {
                 }
                 p = [p[0] - (d * at[0] - b * at[1]) / det, p[1] - (a * at[1] - c * at[0]) / det];
             }
+            // Where the way back has not been found, or leads to where the sheet has turned away, nothing of the sheet is seen.
+            let [du, dv] = seen(p)?;
+            let along = p[0] * libm::cos(self.pose.bend_rad) + p[1] * libm::sin(self.pose.bend_rad);
+            if du.abs().max(dv.abs()) > 5e-4 || (self.pose.bend * along).abs() > 1.5 {
+                return None;
+            }
         }
         (p[0].is_finite() && p[1].is_finite() && p[0].abs() < 1e3 && p[1].abs() < 1e3).then_some(p)
     }
@@ -289,6 +295,25 @@ mod tests {
             let n = (t[0] * t[0] + t[1] * t[1] + t[2] * t[2]).sqrt();
             let cosine = (r[2] * t[0] + r[5] * t[1] + r[8] * t[2]) / n;
             assert!((cosine.clamp(-1.0, 1.0).acos() - s.tilt).abs() < 1e-6);
+        }
+    }
+
+    /// Far beside a bent sheet the way back must not end on the marker: that would be ink where nothing is drawn.
+    #[test]
+    fn a_bent_sheet_is_seen_in_one_place_only() {
+        let mut rng = Rng::for_item(0, "test/view", 2);
+        for _ in 0..200 {
+            let s = Stance { bend: (rng.uniform(-0.5, 0.5), rng.uniform(0.0, std::f64::consts::PI)), ..stance(&mut rng) };
+            let camera = Camera { focal: s.least_focal().max(350.0), center: [208.0; 2], k1: 0.0 };
+            let Some((view, _)) = place(&s, &camera, 416.0, 416.0, &mut rng) else { continue };
+            for _ in 0..200 {
+                let pixel = [rng.uniform(-400.0, 800.0), rng.uniform(-400.0, 800.0)];
+                if let Some(p) = view.plane_from_image(pixel) {
+                    let back = view.image_from_plane(p).unwrap();
+                    let error = ((pixel[0] - back[0]).powi(2) + (pixel[1] - back[1]).powi(2)).sqrt();
+                    assert!(error < 0.01 * s.side_px.max(100.0), "{error} px, {s:?}");
+                }
+            }
         }
     }
 

@@ -1,14 +1,12 @@
-//! Errors of recovered poses and the marks computed from them.
+//! Errors of recovered poses and the marks computed from them, as `tcross eval --protocol pose` defines them, with the time each took.
 use std::fmt;
-use tcross_dataset::{PoseOutcome, Quad, geom::quad::angle_deg};
+use tcross_dataset::{Marker, PoseOutcome, geom::quad::angle_deg};
 
 /// One marker and what was said about it. Percents are of the side, the root of the quadrilateral's area.
 #[derive(Debug, Clone)]
 pub struct Trial {
     pub outcome: PoseOutcome,
     pub width_px: f64,
-    pub tilt_deg: f64,
-    pub blur_px: f64,
     pub center_percent: f64,
     pub angle_deg: f64,
     pub corner_percent: f64,
@@ -18,32 +16,29 @@ pub struct Trial {
 }
 
 impl Trial {
-    pub fn new(truth: &Quad, width_px: f64, tilt_deg: f64, blur_px: f64, outcome: PoseOutcome, ms: f64) -> Self {
-        let mut trial =
-            Self { outcome, width_px, tilt_deg, blur_px, center_percent: 0.0, angle_deg: 0.0, corner_percent: 0.0, mahalanobis: 0.0, ms };
+    /// `None` for a marker without a true pose.
+    pub fn new(truth: &Marker, outcome: PoseOutcome, ms: f64) -> Option<Self> {
+        let corners = truth.corners?;
+        let center = truth.center.or_else(|| corners.diagonal_crossing())?;
+        let angle = truth.angle.unwrap_or_else(|| angle_deg(corners.0[0][0] - center[0], corners.0[0][1] - center[1]));
+        let width_px = truth.bounds.width();
+        let mut trial = Self { outcome, width_px, center_percent: 0.0, angle_deg: 0.0, corner_percent: 0.0, mahalanobis: 0.0, ms };
         if let PoseOutcome::Found(pose) = &trial.outcome {
-            let side = truth.side_px();
-            let center = truth.diagonal_crossing().unwrap_or([f64::NAN; 2]);
-            let far = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
-            let angle = angle_deg(truth.0[0][0] - center[0], truth.0[0][1] - center[1]);
+            let percent = 100.0 / corners.side_px();
+            let squared = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2);
             let turn = (pose.angle - angle).rem_euclid(360.0);
             let [xx, xy, yy] = pose.covariance;
             let (dx, dy) = (pose.center[0] - center[0], pose.center[1] - center[1]);
-            trial.center_percent = 100.0 * far(pose.center, center) / side;
+            trial.center_percent = percent * squared(pose.center, center).sqrt();
             trial.angle_deg = turn.min(360.0 - turn);
-            trial.corner_percent = 100.0 * (0..4).map(|k| far(pose.corners.0[k], truth.0[k])).sum::<f64>() / 4.0 / side;
+            trial.corner_percent = percent * ((0..4).map(|k| squared(pose.corners.0[k], corners.0[k])).sum::<f64>() / 4.0).sqrt();
             trial.mahalanobis = (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / (xx * yy - xy * xy);
         }
-        trial
+        Some(trial)
     }
 
     pub fn found(&self) -> bool {
         matches!(self.outcome, PoseOutcome::Found(_))
-    }
-
-    /// Refused, turned wrong or far off.
-    pub fn is_bad(&self) -> bool {
-        !self.found() || self.angle_deg > 10.0 || self.center_percent > 5.0 || self.corner_percent > 8.0
     }
 }
 
@@ -57,10 +52,10 @@ pub struct Marks {
     pub corner: [f64; 2],
     pub wrong: f64,
     pub coverage: f64,
-    pub mahalanobis95: f64,
+    pub mahalanobis: [f64; 2],
     pub quality: [f64; 2],
     pub ms: [f64; 2],
-    pub ms_small: f64,
+    pub ms_small: [f64; 2],
 }
 
 /// The value below which the share `p` of the values lies (nearest rank); NaN without values.
@@ -72,28 +67,31 @@ pub fn quantile(mut values: Vec<f64>, p: f64) -> f64 {
 impl Marks {
     pub fn of(trials: &[Trial]) -> Self {
         let found: Vec<&Trial> = trials.iter().filter(|t| t.found()).collect();
-        let two = |f: &dyn Fn(&Trial) -> f64| [0.5, 0.95].map(|p| quantile(found.iter().map(|t| f(t)).collect(), p));
+        let at = |p: [f64; 2], f: &dyn Fn(&Trial) -> f64| p.map(|p| quantile(found.iter().map(|t| f(t)).collect(), p));
         let share = |f: &dyn Fn(&Trial) -> bool| found.iter().filter(|t| f(t)).count() as f64 / found.len().max(1) as f64;
+        let ms = |p: [f64; 2], below: f64| {
+            p.map(|p| quantile(trials.iter().filter(|t| t.width_px <= below).map(|t| t.ms).collect(), p))
+        };
         Self {
             markers: trials.len(),
             recovered: found.len() as f64 / trials.len().max(1) as f64,
-            center: two(&|t| t.center_percent),
-            angle: two(&|t| t.angle_deg),
-            corner: two(&|t| t.corner_percent),
+            center: at([0.5, 0.95], &|t| t.center_percent),
+            angle: at([0.5, 0.95], &|t| t.angle_deg),
+            corner: at([0.5, 0.95], &|t| t.corner_percent),
             wrong: share(&|t| t.angle_deg > 45.0),
             // 5.991: the 95 % quantile of chi squared with two degrees of freedom.
             coverage: share(&|t| t.mahalanobis <= 5.991),
-            mahalanobis95: quantile(found.iter().map(|t| t.mahalanobis).collect(), 0.95),
-            quality: [0.02, 0.1]
-                .map(|p| quantile(found.iter().map(|t| if let PoseOutcome::Found(p) = &t.outcome { p.quality } else { 0.0 }).collect(), p)),
-            ms: [0.5, 0.99].map(|p| quantile(trials.iter().map(|t| t.ms).collect(), p)),
-            ms_small: quantile(trials.iter().filter(|t| t.width_px <= 200.0).map(|t| t.ms).collect(), 0.5),
+            mahalanobis: at([0.5, 0.95], &|t| t.mahalanobis),
+            quality: at([0.02, 0.1], &|t| if let PoseOutcome::Found(p) = &t.outcome { p.quality } else { 0.0 }),
+            ms: ms([0.5, 0.99], f64::INFINITY),
+            ms_small: ms([0.5, 0.99], 200.0),
         }
     }
 }
 
 impl fmt::Display for Marks {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [m0, m1] = self.mahalanobis;
         writeln!(f, "  markers                {:8}", self.markers)?;
         writeln!(f, "  recovered              {:8.2} %", 100.0 * self.recovered)?;
         writeln!(f, "  centre  median, p95    {:8.2} {:8.2} % of the side", self.center[0], self.center[1])?;
@@ -101,8 +99,9 @@ impl fmt::Display for Marks {
         writeln!(f, "  corners median, p95    {:8.2} {:8.2} % of the side", self.corner[0], self.corner[1])?;
         writeln!(f, "  wrong orientation      {:8.2} %", 100.0 * self.wrong)?;
         writeln!(f, "  95 % ellipse holds     {:8.2} %", 100.0 * self.coverage)?;
-        writeln!(f, "  Mahalanobis p95        {:8.2} (5.99 is calibrated)", self.mahalanobis95)?;
+        writeln!(f, "  Mahalanobis median, p95{m0:8.2} {m1:8.2} (1.39 and 5.99 are calibrated)")?;
         writeln!(f, "  quality p2, p10        {:8.2} {:8.2}", self.quality[0], self.quality[1])?;
-        write!(f, "  time    median, p99    {:8.3} {:8.3} ms (to 200 px: {:.3})", self.ms[0], self.ms[1], self.ms_small)
+        writeln!(f, "  time    median, p99    {:8.3} {:8.3} ms", self.ms[0], self.ms[1])?;
+        write!(f, "  up to 200 px wide      {:8.3} {:8.3} ms", self.ms_small[0], self.ms_small[1])
     }
 }

@@ -72,7 +72,7 @@ pub struct Coarse {
 }
 
 /// Longer side of the coarse view in cells.
-const CELLS: f64 = 72.0;
+const CELLS: f64 = 64.0;
 /// At most so many source pixels a side are averaged into a cell.
 const SAMPLES: usize = 3;
 
@@ -118,6 +118,13 @@ impl Coarse {
     #[must_use]
     pub fn to_source(&self, [x, y]: Point) -> Point {
         [self.origin[0] + x * self.step, self.origin[1] + y * self.step]
+    }
+
+    /// A box in source pixels as one in cells.
+    #[must_use]
+    pub fn to_cells(&self, b: &PixelBox) -> PixelBox {
+        let [x, y] = self.origin;
+        [(b.x_min - x) / self.step, (b.y_min - y) / self.step, (b.x_max - x) / self.step, (b.y_max - y) / self.step].into()
     }
 
     /// The source position of a cell's middle.

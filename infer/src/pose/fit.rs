@@ -24,10 +24,8 @@ pub struct Fit {
     pub corners: [Point; 4],
     /// Covariance of the corners' coordinates x0, y0, x1, .. in px squared, points taken as independent.
     pub covariance: SMatrix<f64, 8, 8>,
-    /// Robust deviation of the outline's points, px.
-    pub outline_px: f64,
-    /// Robust deviation of the arms' points, px.
-    pub arms_px: f64,
+    /// Robust deviation of the points of the four sides and of the two diagonals, px.
+    pub sigmas: [f64; 6],
     /// Share of the weight that kept its vote, for each side.
     pub held: [f64; 4],
 }
@@ -40,32 +38,40 @@ fn residual(corners: &[Point; 4], c: &Constraint) -> Option<(f64, f64, Point)> {
     Some((line.distance(c.at), dot(sub(c.at, a), d) / dot(d, d), line.normal))
 }
 
-fn deviation(corners: &[Point; 4], constraints: &[Constraint], outline: bool, floor: f64) -> f64 {
-    let mut values: Vec<f64> =
-        constraints.iter().filter(|c| c.outline == outline).filter_map(|c| residual(corners, c)).map(|(r, ..)| r.abs()).collect();
-    if values.is_empty() {
-        return floor;
+/// Which of the six lines through two corners a constraint is about.
+fn line_of(c: &Constraint) -> usize {
+    if c.outline { c.corners.0 } else { 4 + c.corners.0 % 2 }
+}
+
+/// Robust deviation of each line's points: lines are told apart, since one side may be sharp and the next ragged.
+fn deviations(corners: &[Point; 4], constraints: &[Constraint], floor: f64, limit: f64) -> [f64; 6] {
+    let mut values: [Vec<f64>; 6] = Default::default();
+    for c in constraints {
+        if let Some((r, ..)) = residual(corners, c) {
+            values[line_of(c)].push(r.abs());
+        }
     }
-    let middle = values.len() / 2;
-    (1.483 * *values.select_nth_unstable_by(middle, f64::total_cmp).1).max(floor)
+    values.map(|mut v| {
+        let middle = v.len() / 2;
+        if v.is_empty() { floor } else { (1.483 * *v.select_nth_unstable_by(middle, f64::total_cmp).1).clamp(floor, limit) }
+    })
 }
 
 /// Fits corners to the constraints, starting at `start`. `None` where the constraints leave a corner free.
 #[must_use]
 pub fn fit(start: [Point; 4], constraints: &[Constraint]) -> Option<Fit> {
     let mut corners = start;
-    let floor = 0.06;
-    let limit = 0.03 * Quad(start).side_px() + 0.7;
+    let side_px = Quad(start).side_px();
+    let (floor, limit) = (0.1 + 0.002 * side_px, 0.03 * side_px + 0.7);
     let mut result = None;
     for _ in 0..5 {
-        let (outline_px, arms_px) =
-            (deviation(&corners, constraints, true, floor).min(limit), deviation(&corners, constraints, false, floor).min(limit));
+        let sigmas = deviations(&corners, constraints, floor, limit);
         let mut normal = SMatrix::<f64, 8, 8>::identity() * 1e-9;
         let mut right = SVector::<f64, 8>::zeros();
         let (mut held, mut all) = ([0.0; 4], [0.0; 4]);
         for c in constraints {
             let (r, t, n) = residual(&corners, c)?;
-            let sigma = if c.outline { outline_px } else { arms_px };
+            let sigma = sigmas[line_of(c)];
             let vote = tukey(r, 4.5 * sigma);
             if c.outline {
                 held[c.corners.0] += vote.sqrt() * c.weight;
@@ -91,7 +97,7 @@ pub fn fit(start: [Point; 4], constraints: &[Constraint]) -> Option<Fit> {
         }
         let share = std::array::from_fn(|k| if all[k] > 0.0 { held[k] / all[k] } else { 0.0 });
         let still = (0..4).all(|k| distance([0.0; 2], [step[2 * k], step[2 * k + 1]]) < 0.01);
-        result = Some(Fit { corners, covariance: factor.inverse(), outline_px, arms_px, held: share });
+        result = Some(Fit { corners, covariance: factor.inverse(), sigmas, held: share });
         if still {
             break;
         }

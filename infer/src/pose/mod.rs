@@ -1,14 +1,16 @@
 //! From a detection's box to the marker's pose, or to the reason why none is claimed.
 pub mod arms;
+pub mod colour;
 pub mod crop;
 pub mod edges;
+pub mod evidence;
 pub mod fit;
 pub mod model;
 pub mod paper;
 pub mod plane;
 pub mod quad;
 mod refusal;
-pub mod segment;
+pub mod search;
 
 pub use refusal::Refusal;
 

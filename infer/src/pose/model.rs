@@ -1,14 +1,17 @@
 //! Our method, the default: colour model -> quadrilateral -> sub-pixel outline -> arms -> the T cross fitted as a whole.
 use super::{
-    Config, Refusal, arms,
+    Config, Refusal,
+    arms::{self, Arms},
     crop::{Coarse, Picture},
-    edges::{self, EdgePoint},
+    edges,
+    evidence::{Maps, Score},
     fit::{self, Constraint, Fit},
-    plane::Point,
-    quad, segment,
+    plane::{Line, Point, Weighted, along, distance, fit_line},
+    quad,
+    search::{self, Guess},
 };
 use image::RgbImage;
-use tcross_dataset::{Homography, PixelBox, Pose, Quad, geom::quad::angle_deg};
+use tcross_dataset::{Homography, PixelBox, Pose, Quad, geom::{boxes::iou, quad::angle_deg}};
 
 /// Neighbouring points of one stroke err together: so many of them count as one.
 const CORRELATION: f64 = 19.0;
@@ -26,10 +29,71 @@ pub fn recover(image: &RgbImage, bounds: &PixelBox, config: &Config) -> Result<P
     if is_plain(&view) {
         return Err(Refusal::OneColour);
     }
-    let mask = segment::segment(&view, &inside);
-    let first = quad::quadrilateral(&view, &mask).ok_or(Refusal::NoOutline)?;
-    refine(&picture, first, config)
+    let mut answer: Result<Pose, Refusal> = Err(Refusal::NoOutline);
+    for settled in candidates(&view, &inside) {
+        let found = look(&picture, settled.corners, &settled).and_then(|looked| {
+            looked.evidence.check(config.min_quality)?;
+            pose(&looked)
+        });
+        match (&found, &answer) {
+            (Ok(pose), _) if pose.quality > SURE => return found,
+            (Ok(pose), Ok(other)) if pose.quality > other.quality => answer = found,
+            (Ok(_), Err(_)) | (Err(_), Err(Refusal::NoOutline)) => answer = found,
+            _ => {}
+        }
+    }
+    answer
 }
+
+/// Every quadrilateral that [`recover`] would consider, with its evidence, whatever its quality: for fitting the quality's weights.
+#[must_use]
+pub fn considered(image: &RgbImage, bounds: &PixelBox, config: &Config) -> Vec<(Pose, Evidence)> {
+    let Ok((picture, inside)) = super::checked(image, bounds, config) else { return Vec::new() };
+    let Some(view) = Coarse::new(&picture, &super::padded(&picture, &inside, config.padding)) else { return Vec::new() };
+    let all = candidates(&view, &inside).filter_map(|settled| {
+        let looked = look(&picture, settled.corners, &settled).ok()?;
+        Some((pose(&looked).ok()?, looked.evidence))
+    });
+    all.collect()
+}
+
+/// A quadrilateral in pixels, how well it explains the coarse view, and how well it fills its box.
+struct Settled {
+    corners: [Point; 4],
+    score: Score,
+    /// Overlap of its extent with the box, IoU.
+    agreement: f64,
+}
+
+/// Quadrilaterals for a box, best first, each settled as it is asked for.
+fn candidates<'a>(view: &'a Coarse, inside: &PixelBox) -> impl Iterator<Item = Settled> + use<'a> {
+    let mut maps = Maps::new(view, inside);
+    let bounds = view.to_cells(inside);
+    let mut guesses: Vec<Guess> =
+        search::guesses(&maps, &bounds, GUESSES).into_iter().map(|g| search::nudge(&maps, g, &[0.06, 0.03])).collect();
+    guesses.sort_by(|a, b| b.score.total().total_cmp(&a.score.total()));
+    guesses.into_iter().filter_map(move |guess| {
+        let (mut corners, mut score) = (guess.corners, guess.score);
+        for (gap, reach) in [(0.06, 0.10), (0.03, 0.06)] {
+            maps.relearn(&corners, gap);
+            let Some(there) = search::settle(&maps, &corners, reach) else { continue };
+            // A side may run away to the border of the sheet: the box tells.
+            let fits = |c: &[Point; 4]| iou(&Quad(*c).bounds(), &bounds);
+            if fits(&there) > fits(&corners) - 0.15 {
+                corners = there;
+            }
+        }
+        score = maps.score(&corners).unwrap_or(score);
+        let agreement = iou(&Quad(corners).bounds(), &bounds);
+        Some(Settled { corners: corners.map(|p| view.to_source(p)), score, agreement })
+    })
+}
+
+/// A pose of this quality ends the search.
+const SURE: f64 = 0.97;
+
+/// So many first quadrilaterals are followed up.
+const GUESSES: usize = 4;
 
 /// True where no channel of any cell differs from another cell's by more than two grey levels or so.
 fn is_plain(view: &Coarse) -> bool {
@@ -39,102 +103,160 @@ fn is_plain(view: &Coarse) -> bool {
     })
 }
 
-/// From a first quadrilateral to a pose, or to the reason why it is none.
-fn refine(picture: &Picture, first: [Point; 4], config: &Config) -> Result<Pose, Refusal> {
-    let outside = |corners: &[Point; 4]| corners.iter().any(|c| !picture.holds(*c, -1.5));
-    let mut corners = first;
-    let mut outline: Vec<EdgePoint> = Vec::new();
-    for reach in [0.16, 0.10] {
-        let side_px = Quad(corners).side_px();
-        outline = edges::measure(picture, &corners, (reach * side_px).max(3.0));
-        let fitted = fit::fit(corners, &outline_constraints(&outline)).ok_or(Refusal::NoOutline)?;
-        if !quad::is_sound(&fitted.corners) {
-            return Err(Refusal::NoOutline);
-        }
-        corners = fitted.corners;
-    }
-    if outside(&corners) {
-        return Err(Refusal::CutByBorder);
-    }
-    let map = Homography::from_unit_square(&corners).ok_or(Refusal::NoOutline)?;
+/// Everything that was measured of one quadrilateral.
+struct Looked {
+    fitted: Fit,
+    arms: Arms,
+    map: Homography,
+    evidence: Evidence,
+}
+
+fn look(picture: &Picture, corners: [Point; 4], settled: &Settled) -> Result<Looked, Refusal> {
+    let side_px = Quad(corners).side_px();
+    let (outline, clean) = outline(picture, &corners, side_px);
+    let sharp = fit::fit(corners, &outline).map(|f| f.corners).filter(quad::is_sound).unwrap_or(corners);
+    let map = Homography::from_unit_square(&sharp).ok_or(Refusal::NoOutline)?;
     let arms = arms::read(picture, &map).ok_or(Refusal::NoCross)?;
-    let mut constraints = outline_constraints(&outline);
+    let mut constraints = outline;
     constraints.extend(arms.points.iter().map(|(k, at, weight)| Constraint {
         at: *at,
         corners: (k % 2, k % 2 + 2),
         outline: false,
         weight: *weight,
     }));
-    let fitted = fit::fit(corners, &constraints).ok_or(Refusal::NoOutline)?;
+    let fitted = fit::fit(sharp, &constraints).ok_or(Refusal::NoOutline)?;
     if !quad::is_sound(&fitted.corners) {
         return Err(Refusal::NoOutline);
     }
-    let evidence = Evidence::of(&fitted, &arms, &outline);
-    evidence.check(&arms, config.min_quality)?;
-    pose(&fitted, &arms, evidence.quality())
+    let beyond = 1.5 + 0.03 * side_px;
+    if fitted.corners.iter().any(|c| !picture.holds(*c, -beyond)) {
+        return Err(Refusal::CutByBorder);
+    }
+    let evidence = Evidence::of(&fitted, &arms, settled, clean);
+    Ok(Looked { fitted, arms, map, evidence })
 }
 
-fn outline_constraints(outline: &[EdgePoint]) -> Vec<Constraint> {
-    outline.iter().map(|p| Constraint { at: p.at, corners: (p.side, (p.side + 1) % 4), outline: true, weight: p.weight }).collect()
+/// Strokes of a hand end beyond the outline it aims at, by so many sides (measured over drawn markers).
+const OVERSHOOT: f64 = 0.020;
+/// What blur adds to that, in pixels.
+const SPREAD_PX: f64 = 0.7;
+
+/// Points of the outline: along a side whose edge is sharp on the full-resolution picture those of its edge, along a ragged one those of
+/// the settled side; and how many sides are sharp.
+fn outline(picture: &Picture, corners: &[Point; 4], side_px: f64) -> (Vec<Constraint>, usize) {
+    let measured = edges::measure(picture, corners, (0.05 * side_px).max(3.0));
+    let mut constraints = Vec::with_capacity(4 * edges::PROFILES);
+    let mut clean = 0;
+    for side in 0..4 {
+        let on = (side, (side + 1) % 4);
+        let points: Vec<Weighted> = measured.iter().filter(|p| p.side == side).map(|p| Weighted { at: p.at, weight: p.weight }).collect();
+        let sharp = Line::through(corners[on.0], corners[on.1]).filter(|_| 3 * points.len() >= 2 * edges::PROFILES).and_then(|start| {
+            let line = fit_line(&points, start, 0.05 * side_px, 0.5)?;
+            let mut off: Vec<f64> = points.iter().map(|p| line.distance(p.at).abs()).collect();
+            let middle = off.len() / 2;
+            let deviation = 1.483 * *off.select_nth_unstable_by(middle, f64::total_cmp).1;
+            let moved = line.distance(corners[on.0]).abs().max(line.distance(corners[on.1]).abs());
+            (deviation < 0.4 + 0.006 * side_px && moved < 1.0 + 0.03 * side_px).then_some(line)
+        });
+        if sharp.is_some() {
+            clean += 1;
+            constraints.extend(points.iter().map(|p| Constraint { at: p.at, corners: on, outline: true, weight: p.weight }));
+        } else {
+            let Some(line) = Line::through(corners[on.0], corners[on.1]) else { continue };
+            let places = (0..edges::PROFILES / 2).map(|i| quad::on_side(corners, side, (i as f64 + 0.5) / (edges::PROFILES / 2) as f64));
+            let aimed = places.map(|at| along(at, line.normal, -(OVERSHOOT * side_px + SPREAD_PX)));
+            constraints.extend(aimed.map(|at| Constraint { at, corners: on, outline: true, weight: 1.0 }));
+        }
+    }
+    (constraints, clean)
 }
 
-/// Evidence for a T cross, each 0..1 and 1 where nothing is left to wish; the quality is their product.
-struct Evidence {
-    /// Share of the weakest side's outline that was seen and agrees with the others.
-    outline: f64,
-    /// How far the three lines stand out from the half diagonal without.
-    stem: f64,
-    /// How alike the three lines are in colour and in strength.
-    lines: f64,
-    /// How straight outline and lines are, against the side.
-    straight: f64,
-    /// Share of the stations at which a line was seen.
-    arms: f64,
+/// What speaks for a T cross. The quality is the probability that logistic regression gives to these numbers.
+#[derive(Debug, Clone, Copy)]
+pub struct Evidence {
+    /// Named in [`FEATURES`].
+    pub features: [f64; FEATURES.len()],
 }
+
+/// Names of the evidence, in order.
+pub const FEATURES: [&str; 13] = [
+    "weakest side's log odds",
+    "all sides' log odds",
+    "cross in the coarse view",
+    "weakest line against noise",
+    "stem's margin",
+    "separation",
+    "likeness",
+    "evenness of the lines",
+    "wobble",
+    "stations seen",
+    "agreement with the box",
+    "sharp sides",
+    "perspective",
+];
 
 impl Evidence {
-    fn of(fitted: &Fit, arms: &arms::Arms, outline: &[EdgePoint]) -> Self {
-        let seen = |k: usize| {
-            let weight: f64 = outline.iter().filter(|p| p.side == k).map(|p| p.weight).sum();
-            weight / edges::PROFILES as f64 * fitted.held[k]
-        };
+    fn of(fitted: &Fit, arms: &Arms, settled: &Settled, clean: usize) -> Self {
         let mut presence = arms.presence;
         presence.sort_by(f64::total_cmp);
-        let side_px = Quad(fitted.corners).side_px();
-        // A pixel of raggedness is no fault of a small marker.
-        let ragged = |px: f64| 1.0 / (1.0 + ((px - 0.5).max(0.0) / (0.02 * side_px)).powi(2));
+        let sides = settled.score.sides.map(f64::from);
         Self {
-            outline: ((0..4).map(seen).fold(1.0, f64::min) / 0.7).min(1.0),
-            stem: ((presence[1] - presence[0].max(-0.2)) / 0.7).clamp(0.0, 1.0),
-            lines: (arms.likeness.max(0.0) * (presence[1] / presence[3].max(1e-6)) / 0.6).clamp(0.0, 1.0),
-            straight: ragged(fitted.outline_px) * ragged(fitted.arms_px),
-            arms: (arms.points.len() as f64 / (0.9 * (3 * arms::STATIONS) as f64)).min(1.0),
+            features: [
+                sides.iter().copied().fold(f64::MAX, f64::min),
+                sides.iter().sum::<f64>() / 4.0,
+                f64::from(settled.score.cross).clamp(-1.0, 2.0),
+                ((presence[1] * arms.contrast).max(1e-3) / (arms.noise + 0.003)).ln().clamp(-3.0, 3.0),
+                (presence[1] - presence[0].max(-0.3)).min(1.5),
+                arms.separation.clamp(-2.0, 8.0).max(0.0).sqrt(),
+                arms.likeness.max(0.0),
+                presence[1] / presence[3].max(1e-3),
+                (arms.wobble / 0.01).min(3.0),
+                arms.points.len() as f64 / (3 * arms::STATIONS) as f64,
+                settled.agreement,
+                clean as f64 / 4.0,
+                perspective(&fitted.corners).min(1.5),
+            ],
         }
     }
 
     fn quality(&self) -> f64 {
-        self.outline * self.stem * self.lines * self.straight * self.arms
+        let z = WEIGHTS[0] + self.features.iter().zip(&WEIGHTS[1..]).map(|(f, w)| f * w).sum::<f64>();
+        1.0 / (1.0 + (-z).exp())
     }
 
     /// The reason to refuse, if any.
-    fn check(&self, arms: &arms::Arms, least: f64) -> Result<(), Refusal> {
-        if self.lines * self.arms < 0.2 {
-            return Err(Refusal::NoCross);
+    fn check(&self, least: f64) -> Result<(), Refusal> {
+        if self.quality() >= least {
+            return Ok(());
         }
-        if self.stem < 0.4 || arms.separation < 1.2 {
-            return Err(Refusal::Ambiguous);
-        }
-        if self.outline < 0.35 {
-            return Err(Refusal::Occluded);
-        }
-        if self.quality() < least { Err(Refusal::NoCross) } else { Ok(()) }
+        let [weakest, all, _, line, margin, separation, ..] = self.features;
+        Err(if line < -0.3 || all < 0.0 {
+            Refusal::NoCross
+        } else if margin < 0.35 || separation < 1.0 {
+            Refusal::Ambiguous
+        } else if weakest < 0.3 {
+            Refusal::Occluded
+        } else {
+            Refusal::NoCross
+        })
     }
 }
 
-fn pose(fitted: &Fit, arms: &arms::Arms, quality: f64) -> Result<Pose, Refusal> {
+/// How unlike opposite sides are: the larger logarithm of their ratio.
+fn perspective(c: &[Point; 4]) -> f64 {
+    let length = |k: usize| distance(c[k], c[(k + 1) % 4]).max(1e-9);
+    (0..2).map(|k| (length(k) / length(k + 2)).ln().abs()).fold(0.0, f64::max)
+}
+
+/// Bias and weights of [`FEATURES`], by `pose_study --fit` on drawn markers and photo patches.
+const WEIGHTS: [f64; FEATURES.len() + 1] =
+    [-7.02, 1.956, 0.179, 1.165, 0.938, 0.409, 0.059, 0.775, -1.093, -1.102, -1.528, 2.448, 1.694, -2.489];
+
+fn pose(looked: &Looked) -> Result<Pose, Refusal> {
+    let Looked { fitted, arms, map, evidence } = looked;
     let corners: [Point; 4] = std::array::from_fn(|k| fitted.corners[(arms.stem + k) % 4]);
     let homography = Homography::from_unit_square(&corners).ok_or(Refusal::NoOutline)?;
-    let center = homography.apply([0.5, 0.5]);
+    let center = map.apply(arms.meeting);
     let side_px = Quad(corners).side_px();
     let [xx, xy, yy] = fit::center_covariance(&fitted.corners, &fitted.covariance).ok_or(Refusal::NoOutline)?;
     let hand = (HAND * side_px).powi(2);
@@ -145,7 +267,7 @@ fn pose(fitted: &Fit, arms: &arms::Arms, quality: f64) -> Result<Pose, Refusal> 
         angle: angle_deg(corners[0][0] - center[0], corners[0][1] - center[1]),
         homography,
         covariance,
-        quality,
+        quality: evidence.quality(),
         rotation: None,
         translation: None,
         reprojection_px: None,

@@ -6,10 +6,12 @@
 //! slope and intercept break at steep lines); the crop is scaled so that the marker is always as large as the kernels expect.
 pub mod clusters;
 pub mod hough;
+mod morphology;
 
-use super::{Config, Refusal, crop::Picture, plane::Point, quad, segment::Mask, segment::morph};
+use super::{Config, Refusal, crop::Picture, plane::Point, quad};
 use clusters::Segment;
 use hough::{Grey, Search};
+use morphology::{Mask, morph};
 use image::{Rgb, RgbImage};
 use tcross_dataset::{Homography, PixelBox, Pose, Quad, Rng, geom::quad::angle_deg};
 

@@ -1,5 +1,5 @@
 //! The T cross fitted as a whole: four corners (eight numbers, a homography of the unit square) such that sides pass through
-//! the outline's points and diagonals through the arms' points; Gauss-Newton with Tukey weights, and its covariance.
+//! the outline's points and diagonals through the arms' points; Gauss-Newton with Tukey weights.
 use super::plane::{Line, Point, distance, dot, sub, tukey};
 use nalgebra::{SMatrix, SVector};
 use tcross_dataset::Quad;
@@ -17,13 +17,11 @@ pub struct Constraint {
     pub weight: f64,
 }
 
-/// Corners and how well they are known.
+/// Corners and how well the points agree with them.
 #[derive(Debug, Clone)]
 pub struct Fit {
     /// Corners in the order given.
     pub corners: [Point; 4],
-    /// Covariance of the corners' coordinates x0, y0, x1, .. in px squared, points taken as independent.
-    pub covariance: SMatrix<f64, 8, 8>,
     /// Robust deviation of the points of the four sides and of the two diagonals, px.
     pub sigmas: [f64; 6],
     /// Share of the weight that kept its vote, for each side.
@@ -97,29 +95,12 @@ pub fn fit(start: [Point; 4], constraints: &[Constraint]) -> Option<Fit> {
         }
         let share = std::array::from_fn(|k| if all[k] > 0.0 { held[k] / all[k] } else { 0.0 });
         let still = (0..4).all(|k| distance([0.0; 2], [step[2 * k], step[2 * k + 1]]) < 0.01);
-        result = Some(Fit { corners, covariance: factor.inverse(), sigmas, held: share });
+        result = Some(Fit { corners, sigmas, held: share });
         if still {
             break;
         }
     }
     result.filter(|f| f.corners.iter().flatten().all(|v| v.is_finite()))
-}
-
-/// Covariance `[xx, xy, yy]` of where the diagonals cross, from the corners' covariance.
-#[must_use]
-pub fn center_covariance(corners: &[Point; 4], covariance: &SMatrix<f64, 8, 8>) -> Option<[f64; 3]> {
-    let center = Quad(*corners).diagonal_crossing()?;
-    let mut slopes = SMatrix::<f64, 2, 8>::zeros();
-    let nudge = 1e-4;
-    for p in 0..8 {
-        let mut moved = *corners;
-        moved[p / 2][p % 2] += nudge;
-        let there = Quad(moved).diagonal_crossing()?;
-        slopes[(0, p)] = (there[0] - center[0]) / nudge;
-        slopes[(1, p)] = (there[1] - center[1]) / nudge;
-    }
-    let c = slopes * covariance * slopes.transpose();
-    Some([c[(0, 0)], c[(0, 1)], c[(1, 1)]])
 }
 
 #[cfg(test)]
@@ -143,8 +124,6 @@ mod tests {
         for (corner, truth) in got.corners.iter().zip(truth) {
             assert!(distance(*corner, truth) < 1e-3, "{:?}", got.corners);
         }
-        let c = center_covariance(&got.corners, &got.covariance).unwrap();
-        assert!(c[0] > 0.0 && c[2] > 0.0 && c[0] * c[2] > c[1] * c[1]);
         assert!(fit(start, &constraints[..9]).is_none_or(|f| f.held[2] == 0.0));
     }
 }

@@ -140,7 +140,7 @@ pub fn fit_line(points: &[Weighted], start: Line, reach: f64, floor: f64) -> Opt
         }
         let middle = residuals.len() / 2;
         let median = *residuals.select_nth_unstable_by(middle, f64::total_cmp).1;
-        reach = (3.0 * 1.483 * median).clamp(floor, reach);
+        reach = (3.0 * 1.483 * median).max(floor).min(reach);
     }
     Some(line)
 }

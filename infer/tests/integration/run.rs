@@ -77,7 +77,9 @@ fn poses_come_from_given_boxes_too() {
     })
     .unwrap();
     let Some(PoseOutcome::Found(pose)) = outcome else { panic!("{outcome:?}") };
-    assert!(pose.rotation.is_some() && pose.translation.unwrap()[2] > 0.0 && pose.reprojection_px.unwrap() < 1.0);
+    // What is drawn is up to a tenth longer than wide, so a square cannot fit it to better than that.
+    let off = pose.reprojection_px.unwrap() / pose.corners.side_px();
+    assert!(pose.rotation.is_some() && pose.translation.unwrap()[2] > 0.0 && off < 0.05, "{off} sides");
     std::fs::copy(dir.path().join("x.png"), dir.path().join("y.png")).unwrap();
     let more = Source::open(&[dir.path().join("y.png")], None).unwrap();
     let error = run(&mut boxes, &more, &config, &RunOptions::default(), &mut |_| true).unwrap_err().to_string();

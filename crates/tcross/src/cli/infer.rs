@@ -38,7 +38,7 @@ pub struct Args {
     #[arg(long)]
     pose: bool,
     /// The camera in pixels, or its horizontal field of view in degrees; poses then hold rotation and translation
-    #[arg(long, value_name = "fx,fy,cx,cy[,k1,k2[,p1,p2[,k3]]]", value_parser = |s: &str| s.parse::<Lens>())]
+    #[arg(long, value_name = "fx,fy,cx,cy[,k1,k2]", value_parser = |s: &str| s.parse::<Lens>())]
     camera: Option<Lens>,
     /// Side of the markers, in the unit in which positions are wanted
     #[arg(long, value_name = "L", requires = "camera")]

@@ -23,9 +23,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let minutes: f64 = args.first().map_or(Ok(10.0), |v| v.parse())?;
     let pictures = match args.get(1) {
-        Some(dir) => {
-            Source::open(&[dir], None)?.items.iter().take(40).map(|i| read_image(&i.path)).collect::<Result<Vec<_>, _>>()?
-        }
+        Some(dir) => Source::open(&[dir], None)?.items.iter().take(40).map(|i| read_image(&i.path)).collect::<Result<Vec<_>, _>>()?,
         None => Vec::new(),
     };
     let end = Instant::now() + Duration::from_secs_f64(60.0 * minutes);

@@ -172,7 +172,11 @@ fn empty(photos: &Path, boxes: u64, methods: &[Method]) -> Result<(), Failed> {
         claimed.sort_by(f64::total_cmp);
         let refused = looked.len() - claimed.len();
         let percent = 100.0 * refused as f64 / looked.len().max(1) as f64;
-        println!("{}: {refused} of {} empty boxes refused ({percent:.2} %); qualities of the others {claimed:.2?}", name(*method), looked.len());
+        println!(
+            "{}: {refused} of {} empty boxes refused ({percent:.2} %); qualities of the others {claimed:.2?}",
+            name(*method),
+            looked.len()
+        );
     }
     Ok(())
 }
@@ -206,9 +210,8 @@ fn fit(dir: &Path, photos: &Path, boxes: u64, dump: Option<String>) -> Result<()
     })?;
     let rows: Vec<([f64; FEATURES.len()], bool)> = markers.into_iter().flatten().chain(patches.into_iter().flatten()).collect();
     if let Some(path) = dump {
-        let line = |(f, right): &([f64; FEATURES.len()], bool)| {
-            format!("{} {}\n", f.map(|v| format!("{v:.4}")).join(" "), u8::from(*right))
-        };
+        let line =
+            |(f, right): &([f64; FEATURES.len()], bool)| format!("{} {}\n", f.map(|v| format!("{v:.4}")).join(" "), u8::from(*right));
         std::fs::write(path, rows.iter().map(line).collect::<String>())?;
     }
     let weights = logistic(&rows);

@@ -84,8 +84,11 @@ impl std::str::FromStr for Camera {
 
     /// `fx,fy,cx,cy` in pixels, then up to five numbers of distortion `k1,k2,p1,p2,k3`.
     fn from_str(text: &str) -> Result<Self, InferError> {
-        let wrong =
-            || InferError::Value { key: "camera", found: text.into(), allowed: "fx,fy,cx,cy[,k1,k2[,p1,p2[,k3]]] in pixels with fx and fy above 0, or a field of view in degrees" };
+        let wrong = || InferError::Value {
+            key: "camera",
+            found: text.into(),
+            allowed: "fx,fy,cx,cy[,k1,k2[,p1,p2[,k3]]] in pixels with fx and fy above 0, or a field of view in degrees",
+        };
         let numbers = text.split(',').map(|v| v.trim().parse::<f64>()).collect::<Result<Vec<_>, _>>().map_err(|_| wrong())?;
         if !(4..=9).contains(&numbers.len()) || numbers.iter().any(|v| !v.is_finite()) || numbers[0] <= 0.0 || numbers[1] <= 0.0 {
             return Err(wrong());

@@ -26,7 +26,16 @@ pub struct Config {
 
 impl Default for Config {
     fn default() -> Self {
-        Self { score: 0.05, nms: 0.45, most: 200, pose: false, pose_filter: false, overlay_score: 0.3, recovery: pose::Config::default(), smoothing: smooth::Config::default() }
+        Self {
+            score: 0.05,
+            nms: 0.45,
+            most: 200,
+            pose: false,
+            pose_filter: false,
+            overlay_score: 0.3,
+            recovery: pose::Config::default(),
+            smoothing: smooth::Config::default(),
+        }
     }
 }
 

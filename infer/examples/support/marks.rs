@@ -69,9 +69,7 @@ impl Marks {
         let found: Vec<&Trial> = trials.iter().filter(|t| t.found()).collect();
         let at = |p: [f64; 2], f: &dyn Fn(&Trial) -> f64| p.map(|p| quantile(found.iter().map(|t| f(t)).collect(), p));
         let share = |f: &dyn Fn(&Trial) -> bool| found.iter().filter(|t| f(t)).count() as f64 / found.len().max(1) as f64;
-        let ms = |p: [f64; 2], below: f64| {
-            p.map(|p| quantile(trials.iter().filter(|t| t.width_px <= below).map(|t| t.ms).collect(), p))
-        };
+        let ms = |p: [f64; 2], below: f64| p.map(|p| quantile(trials.iter().filter(|t| t.width_px <= below).map(|t| t.ms).collect(), p));
         Self {
             markers: trials.len(),
             recovered: found.len() as f64 / trials.len().max(1) as f64,

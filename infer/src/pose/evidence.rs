@@ -101,8 +101,7 @@ impl<'a> Maps<'a> {
         let cells: Vec<[f32; 4]> = view.cells.iter().map(|[r, g, b]: &Colour| [*r, *g, *b, 0.0]).collect();
         let side = (bounds.width() * bounds.height()).sqrt() / view.step;
         let wide = box_mean(&cells, w, h, (0.09 * side).round().max(2.0) as usize);
-        let lines: Vec<[f32; 4]> =
-            cells.iter().zip(&wide).map(|(c, m)| std::array::from_fn(|k| c[k] - m[k])).collect();
+        let lines: Vec<[f32; 4]> = cells.iter().zip(&wide).map(|(c, m)| std::array::from_fn(|k| c[k] - m[k])).collect();
         let (mut sum, mut count) = (0.0f32, 1e-6f32);
         for (line, m) in lines.iter().zip(&marker) {
             sum += m * product(line, line);
@@ -208,7 +207,8 @@ impl<'a> Maps<'a> {
         let (extent, b) = (Quad(*corners).bounds(), &self.bounds);
         let slack = 0.04 * (b.width() + b.height()) / 2.0;
         let beyond = |a: f64, b: f64| ((a - b).abs() - slack).max(0.0);
-        let off = beyond(extent.x_min, b.x_min) + beyond(extent.x_max, b.x_max) + beyond(extent.y_min, b.y_min) + beyond(extent.y_max, b.y_max);
+        let off =
+            beyond(extent.x_min, b.x_min) + beyond(extent.x_max, b.x_max) + beyond(extent.y_min, b.y_min) + beyond(extent.y_max, b.y_max);
         score.beside = (2.0 * off / (b.width() + b.height())) as f32;
         Some(score)
     }

@@ -11,7 +11,10 @@ use super::{
     search::{self, Guess},
 };
 use image::RgbImage;
-use tcross_dataset::{Homography, PixelBox, Pose, Quad, geom::{boxes::iou, quad::angle_deg}};
+use tcross_dataset::{
+    Homography, PixelBox, Pose, Quad,
+    geom::{boxes::iou, quad::angle_deg},
+};
 
 /// Deviation of the centre of a marker that leaves nothing to wish, in sides and in pixels: what a hand errs and what pixels hide. With
 /// [`DOUBT`] fitted to the errors on 700 drawn markers (a heavy-tailed likelihood, then scaled so that 95 % ellipses hold 94 %).

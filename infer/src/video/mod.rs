@@ -60,13 +60,8 @@ impl VideoReport {
     /// Median and 95th percentile of each stage that ran, in milliseconds.
     #[must_use]
     pub fn stages(&self) -> Vec<(&'static str, f64, f64)> {
-        let all = [
-            ("decode", &self.decode),
-            ("network", &self.network),
-            ("pose", &self.pose),
-            ("latency", &self.latency),
-            ("draw", &self.draw),
-        ];
+        let all =
+            [("decode", &self.decode), ("network", &self.network), ("pose", &self.pose), ("latency", &self.latency), ("draw", &self.draw)];
         all.into_iter().filter_map(|(name, t)| Some((name, t.quantile(0.5)?, t.quantile(0.95)?))).collect()
     }
 }

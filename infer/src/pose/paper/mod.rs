@@ -11,8 +11,8 @@ mod morphology;
 use super::{Config, Refusal, crop::Picture, plane::Point, quad};
 use clusters::Segment;
 use hough::{Grey, Search};
-use morphology::{Mask, morph};
 use image::{Rgb, RgbImage};
+use morphology::{Mask, morph};
 use tcross_dataset::{Homography, PixelBox, Pose, Quad, Rng, geom::quad::angle_deg};
 
 /// Longer side of the box in the scaled crop, px.

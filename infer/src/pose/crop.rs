@@ -154,7 +154,7 @@ mod tests {
         let image = RgbImage::from_fn(640, 480, |x, _| image::Rgb([if x < 320 { 0 } else { 255 }; 3]));
         let picture = Picture::new(&image).unwrap();
         let coarse = Coarse::new(&picture, &PixelBox::from([0.0, 0.0, 640.0, 480.0])).unwrap();
-        assert_eq!((coarse.width, coarse.height), (72, 54));
+        assert_eq!((coarse.width, coarse.height), (64, 48));
         assert_eq!(coarse.cells[10], [0.0; 3]);
         assert_eq!(coarse.cells[60], [1.0; 3]);
         assert!(Coarse::new(&picture, &PixelBox::from([5.0, 5.0, 6.0, 6.0])).is_none());

@@ -8,7 +8,7 @@ Needs PyTorch (`pip install torch`). Every contender keeps its process and its n
 wait. Prints medians, images a second, the ratio to each PyTorch mode, peak memory, and the arithmetic floor (three times the forward
 pass's multiply-adds at the multiply-add peak, which `cargo bench -p tcross-kernels` measures; give it with --peak in GFLOP/s).
 """
-import argparse, os, statistics, subprocess, sys
+import argparse, glob, os, statistics, subprocess, sys
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 ROOT = os.path.dirname(HERE)
@@ -41,9 +41,15 @@ def torch_worker(name, width, batch, mode, threads):
         print(f"{time.perf_counter() - start:.6f}", flush=True)
 
 
+def cpu_seconds(pid):
+    """Time that all threads of a process have run: what a machine that does other work does not change much. (With one thread; peers
+    with several spin while they wait.)"""
+    return sum(int(open(f).read().split()[0]) for f in glob.glob(f"/proc/{pid}/task/*/schedstat")) / 1e9
+
+
 class Contender:
     def __init__(self, name, command, env):
-        self.name, self.times = name, []
+        self.name, self.times, self.cpu = name, [], []
         self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=env)
         words = self.process.stdout.readline().split()
         if not words or words[0] != "ready":
@@ -55,9 +61,12 @@ class Contender:
             return next(int(line.split()[1]) / 1024 for line in status if line.startswith("VmHWM"))
 
     def step(self):
+        before = cpu_seconds(self.process.pid)
         self.process.stdin.write("go\n")
         self.process.stdin.flush()
-        return float(self.process.stdout.readline())
+        seconds = float(self.process.stdout.readline())
+        self.cpu.append(cpu_seconds(self.process.pid) - before)
+        return seconds
 
     def end(self):
         self.peak = self.memory()
@@ -102,7 +111,8 @@ def main():
             c.end()
             t = statistics.median(c.times)
             print(f"  {c.name:20} {t:7.3f} s  {batch / t:6.2f} images/s  x{t / floor:4.2f} of the floor  T-cross is x{t / mine:4.2f} as fast"
-                  f" (least times {min(c.times):.3f} s, x{min(c.times) / min(contenders[0].times):4.2f})"
+                  f" (least times {min(c.times):.3f} s, x{min(c.times) / min(contenders[0].times):4.2f};"
+                  f" CPU time {min(c.cpu[2:]):.3f} s, x{min(c.cpu[2:]) / min(contenders[0].cpu[2:]):4.2f})"
                   f"  peak {c.peak:5.0f} MiB, {c.peak - c.empty:5.0f} above its start", flush=True)
 
 

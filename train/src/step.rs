@@ -10,7 +10,7 @@ use burn::{
     module::{Module, ModuleMapper, ModuleVisitor, Param},
     tensor::{Device, Gradients, Tensor, TensorData},
 };
-use tcross_kernels::ops::Path;
+use tcross_kernels::ops::{self, Path};
 use tcross_yolo::{Loss, LossTerms, ModelConfig, Statistics, Weights, Yolo, network::read_logits};
 
 /// A network with its optimiser.
@@ -18,6 +18,7 @@ pub struct Trainer {
     network: Option<Yolo>,
     model: ModelConfig,
     device: Device,
+    path: Path,
     loss: Loss,
     optimizer: config::Optimizer,
     clip: f64,
@@ -41,10 +42,12 @@ impl Trainer {
     /// # Errors
     /// If the weights do not fit the description.
     pub fn new(config: &Config, model: &ModelConfig, weights: &Weights, accelerator: &Accelerator) -> Result<Self, TrainError> {
+        let device = accelerator.device().autodiff();
         let mut trainer = Self {
             network: None,
             model: model.clone(),
-            device: accelerator.device().autodiff(),
+            path: if config.fused { Path::for_device(&device) } else { Path::Composite },
+            device,
             loss: Loss { kind: config.loss, ignore_iou: config.ignore_iou as f32, assign_iou: config.assign_iou as f32 },
             optimizer: config.optimizer.clone(),
             clip: config.clip,
@@ -52,7 +55,7 @@ impl Trainer {
             slots: Vec::new(),
         };
         let network = Yolo::new(model, weights, &trainer.device)?.with_momentum(1.0 - config.batch_norm_decay);
-        let network = if config.fused { network } else { network.with_path(Path::Composite) };
+        let network = network.with_path(trainer.path);
         let backbone = network.graph().backbone();
         trainer.network = Some(match config.freeze {
             Freeze::None => network,
@@ -82,7 +85,7 @@ impl Trainer {
         };
         let surrogate = heads.into_iter().zip(output.gradients).map(|(head, gradient)| {
             let shape = head.dims();
-            (head * Tensor::from_data(TensorData::new(gradient, shape), &self.device)).sum()
+            ops::seed(self.path, head, Tensor::from_data(TensorData::new(gradient, shape), &self.device))
         });
         let surrogate = surrogate.reduce(|a, b| a + b).expect("a network has a head");
         let mut collected = Collect { gradients: surrogate.backward(), values: Vec::new() };

@@ -116,6 +116,12 @@ impl InferenceNet {
     /// If the image's length is not that of `net`.
     pub fn run(&mut self, image: &[f32], net: NetSize) -> &[Vec<f32>] {
         assert_eq!(image.len(), 3 * net.width * net.height, "an image of another size");
+        // The whole frame among the workers: a layer that came to them from outside would wait, and now and then take memory.
+        rayon::scope(|_| self.walk(image, net));
+        &self.heads
+    }
+
+    fn walk(&mut self, image: &[f32], net: NetSize) {
         let mut kept = std::mem::take(&mut self.kept);
         kept.fill(None);
         let mut x = Value { buffer: self.arena.take(image.len()), height: net.height, width: net.width, channels: 3 };
@@ -171,7 +177,6 @@ impl InferenceNet {
         self.arena.free.extend(0..self.arena.buffers.len());
         self.steps = steps;
         self.kept = kept;
-        &self.heads
     }
 
     fn convolve(&mut self, index: usize, x: Value, residual: Option<Value>) -> Value {

@@ -5,6 +5,7 @@
 mod composite;
 mod fused;
 mod fused_resample;
+mod fused_seed;
 
 use burn::tensor::{Device, Tensor};
 
@@ -116,6 +117,16 @@ pub fn max_pool(path: Path, x: Tensor<4>, stride: usize) -> Tensor<4> {
     match path {
         Path::Fused => fused_resample::max_pool(x, stride),
         Path::Composite => composite::max_pool(x, stride),
+    }
+}
+
+/// A number to walk back from, together with other seeds or alone: its gradient with respect to `x` is `gradient`, of the same shape. For
+/// losses that are computed outside the graph. (The composite is a product and a sum, whose value nobody reads.)
+#[must_use]
+pub fn seed(path: Path, x: Tensor<4>, gradient: Tensor<4>) -> Tensor<1> {
+    match path {
+        Path::Fused => fused_seed::seed(x, gradient),
+        Path::Composite => (x * gradient).sum(),
     }
 }
 

@@ -109,6 +109,19 @@ proptest! {
 }
 
 #[test]
+fn a_seed_hands_its_gradient_on() {
+    let device = Device::flex().autodiff();
+    let run = |path| {
+        let x = noise([2, 3, 4, 5], 1, -1.0, 1.0, &device).require_grad();
+        let planes = ops::channels_first(x.clone());
+        let gradient = noise(planes.dims(), 2, -1.0, 1.0, &device);
+        let other = ops::seed(path, x.clone() * 2.0, noise([2, 3, 4, 5], 3, -1.0, 1.0, &device));
+        x.grad(&(ops::seed(path, planes, gradient) + other).backward()).unwrap()
+    };
+    same(run(Path::Fused), run(Path::Composite), "seeded");
+}
+
+#[test]
 fn without_gradients_the_norm_is_folded() {
     let device = Device::flex();
     for (kernel, stride) in [(1, 1), (3, 1), (3, 2)] {

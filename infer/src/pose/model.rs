@@ -77,7 +77,7 @@ fn candidates<'a>(view: &'a Coarse, inside: &PixelBox) -> impl Iterator<Item = S
     let mut guesses: Vec<Guess> =
         search::guesses(&maps, &bounds, GUESSES).into_iter().map(|g| search::nudge(&maps, g, &[0.06, 0.03])).collect();
     guesses.sort_by(|a, b| b.score.total().total_cmp(&a.score.total()));
-    guesses.into_iter().filter_map(move |guess| {
+    guesses.into_iter().map(move |guess| {
         let (mut corners, mut score) = (guess.corners, guess.score);
         for (gap, reach) in [(0.06, 0.10), (0.03, 0.06)] {
             maps.relearn(&corners, gap);
@@ -90,7 +90,7 @@ fn candidates<'a>(view: &'a Coarse, inside: &PixelBox) -> impl Iterator<Item = S
         }
         score = maps.score(&corners).unwrap_or(score);
         let agreement = iou(&Quad(corners).bounds(), &bounds);
-        Some(Settled { corners: corners.map(|p| view.to_source(p)), score, agreement })
+        Settled { corners: corners.map(|p| view.to_source(p)), score, agreement }
     })
 }
 

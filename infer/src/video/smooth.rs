@@ -112,14 +112,14 @@ impl Track {
     fn follow(&mut self, now: &State, secs: f64, side: f64, config: &Config) {
         let passed = (secs - self.seen_secs).max(1e-4);
         let keep = share(SPEED_CUTOFF_HZ, passed);
-        for i in 0..10 {
-            self.speed[i] += keep * ((now[i] - self.value[i]) / passed - self.speed[i]);
+        for ((speed, now), value) in self.speed.iter_mut().zip(now).zip(&self.value) {
+            *speed += keep * ((now - value) / passed - *speed);
         }
         // One cut-off for all: coordinates that lag differently would bend the marker.
         let fastest = (0..5).map(|k| self.speed[2 * k].hypot(self.speed[2 * k + 1])).fold(0.0, f64::max);
         let keep = share(config.cutoff_hz + config.beta * fastest / side.max(1.0), passed);
-        for i in 0..10 {
-            self.value[i] += keep * (now[i] - self.value[i]);
+        for (value, now) in self.value.iter_mut().zip(now) {
+            *value += keep * (now - *value);
         }
         self.seen_secs = secs;
     }

@@ -80,7 +80,7 @@ impl Isa {
     /// The widest set, not above `self`, whose vectors `channels` fill: sixteen lanes on eight channels would compute eight for nothing.
     #[must_use]
     pub(crate) fn filled_by(self, channels: usize) -> Self {
-        if self == Self::Avx512 && channels.next_multiple_of(8) % 16 != 0 { Self::Avx2 } else { self }
+        if self == Self::Avx512 && !channels.next_multiple_of(8).is_multiple_of(16) { Self::Avx2 } else { self }
     }
 }
 

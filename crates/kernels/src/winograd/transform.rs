@@ -1,4 +1,5 @@
 //! The transforms, vector by vector of channels. Matrices as in the paper that the module names.
+#![allow(clippy::needless_range_loop)] // columns: the index runs across several rows at once
 use crate::{
     gather::{load_lanes, store_lanes},
     simd::Simd,

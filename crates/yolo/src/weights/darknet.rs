@@ -269,7 +269,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("yolov3.weights");
         for (classes, bytes) in [(80, 4 * 62_001_757), (1, 4 * (62_001_757 - 79 * 3 * (1025 + 513 + 257)))] {
-            std::fs::write(&path, &to_bytes(&Weights::default())).unwrap();
+            std::fs::write(&path, to_bytes(&Weights::default())).unwrap();
             std::fs::File::options().write(true).open(&path).unwrap().set_len((HEADER + bytes) as u64).unwrap();
             let message = read_model(&path, &tiny(3).0).unwrap_err().to_string();
             let want = format!("holds yolov3 with {classes} class(es): expected yolov3-tiny x 0.0625 with 3 class(es)");

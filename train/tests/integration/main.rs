@@ -126,10 +126,10 @@ fn a_head_with_keypoints_learns_them() {
     let dataset = data(dir.path(), 160);
     let mut config = Config {
         batch: 4,
-        epochs: Some(16.0),
+        epochs: Some(32.0),
         ema: 0.9,
         objectness_bias: -4.0,
-        validate: Validate { every: 8, ..Validate::default() },
+        validate: Validate { every: 16, ..Validate::default() },
         ..Config::default()
     };
     config.optimizer.rate = 5e-3;

@@ -6,14 +6,14 @@ use tcross_eval::coco_json::{read_instances, read_results, score_instances};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut args = std::env::args().skip(1);
-    let (Some(truth), Some(results)) = (args.next(), args.next()) else {
+    let (Some(truth), Some(path)) = (args.next(), args.next()) else {
         return Err("usage: coco_scores TRUTH.json RESULTS.json".into());
     };
     let start = Instant::now();
-    let (truth, results) = (read_instances(truth)?, read_results(results)?);
+    let (truth, results) = (read_instances(truth)?, read_results(&path)?);
     let loaded = start.elapsed().as_secs_f64();
     let start = Instant::now();
-    let scores = score_instances(&truth, &results)?;
+    let scores = score_instances(&truth, &results, path.as_ref())?;
     let scored = start.elapsed().as_secs_f64();
     println!("{}", serde_json::json!({"scores": scores, "load_s": loaded, "score_s": scored}));
     Ok(())

@@ -103,11 +103,11 @@ fn read<T: DeserializeOwned>(path: &Path) -> Result<T, EvalError> {
     serde_json::from_str(&text).map_err(|e| EvalError::Coco { path: path.to_owned(), message: e.to_string() })
 }
 
-/// Scores results against instances. Results for a category that the instances lack are left out, as pycocotools does.
+/// Scores results, read from `path`, against instances. Results for a category that the instances lack are left out, as pycocotools does.
 ///
 /// # Errors
 /// If a result names an image that the instances lack.
-pub fn score_instances(instances: &Instances, results: &[CocoResult]) -> Result<CocoScores, EvalError> {
+pub fn score_instances(instances: &Instances, results: &[CocoResult], path: &Path) -> Result<CocoScores, EvalError> {
     let sorted = |ids: BTreeSet<u64>| -> HashMap<u64, usize> { ids.into_iter().enumerate().map(|(k, id)| (id, k)).collect() };
     let images = sorted(instances.images.iter().map(|i| i.id).collect());
     let categories = sorted(instances.categories.iter().map(|c| c.id).collect());
@@ -122,7 +122,7 @@ pub fn score_instances(instances: &Instances, results: &[CocoResult]) -> Result<
     for (k, r) in results.iter().enumerate() {
         let Some(image) = images.get(&r.image_id) else {
             let message = format!("result {k} is for image {}, which the instances lack", r.image_id);
-            return Err(EvalError::Coco { path: "results".into(), message });
+            return Err(EvalError::Coco { path: path.to_owned(), message });
         };
         if let Some(c) = categories.get(&r.category_id) {
             claims.push((*c as u32, *image as u32, k as u32));
@@ -224,7 +224,7 @@ mod tests {
             let instances = instances(&truth, &rule);
             let claims: Vec<_> = found.iter().enumerate().flat_map(|(k, d)| results(&truth, &rule, k, &d.detections)).collect();
             let text = serde_json::to_string(&instances).unwrap();
-            let coco = score_instances(&serde_json::from_str(&text).unwrap(), &claims).unwrap();
+            let coco = score_instances(&serde_json::from_str(&text).unwrap(), &claims, Path::new("results.json")).unwrap();
             assert!(coco.ap.unwrap() > 0.0);
             assert_eq!((coco.ap, coco.ap50), (native.ap, native.ap50));
         }
@@ -233,7 +233,7 @@ mod tests {
     #[test]
     fn an_unknown_image_is_an_error() {
         let result = CocoResult { image_id: 3, category_id: 1, bbox: [0.0; 4], score: 0.5 };
-        let message = score_instances(&Instances::default(), &[result]).unwrap_err().to_string();
+        let message = score_instances(&Instances::default(), &[result], Path::new("results.json")).unwrap_err().to_string();
         assert!(message.contains("image 3"), "{message}");
     }
 }

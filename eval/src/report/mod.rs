@@ -7,7 +7,7 @@ mod tables;
 
 pub use figures::Figure;
 pub use gallery::{Gallery, Picture, base64};
-pub use tables::Named as NamedTable;
+pub use tables::{Named as NamedTable, coco_scores};
 
 use crate::{
     calibration::calibration,
@@ -276,14 +276,9 @@ impl Built {
     /// If the folder cannot be written.
     pub fn write(&self, out: impl AsRef<Path>) -> Result<(), EvalError> {
         let out = out.as_ref();
-        files::create_dir(out.join("tables"))?;
         files::create_dir(out.join("figures"))?;
         files::write_atomically(out.join("metrics.json"), format!("{:#}\n", self.metrics))?;
-        for NamedTable { key, table } in &self.tables {
-            files::write_atomically(out.join(format!("tables/{key}.md")), table.markdown())?;
-            files::write_atomically(out.join(format!("tables/{key}.csv")), table.csv())?;
-            files::write_atomically(out.join(format!("tables/{key}.tex")), table.latex(key))?;
-        }
+        self.tables.iter().try_for_each(|table| table.write(out))?;
         self.figures.par_iter().try_for_each(|Figure { key, canvas, .. }| -> Result<(), EvalError> {
             let write = |kind: &str, bytes: Vec<u8>| files::write_atomically(out.join(format!("figures/{key}.{kind}")), bytes);
             write("svg", canvas.svg().into_bytes())?;

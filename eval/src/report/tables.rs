@@ -4,6 +4,7 @@ use crate::{
     calibration::calibration,
     compare::Comparison,
     curves,
+    error::EvalError,
     evaluation::Evaluation,
     failures, metrics,
     paper_tables::{self, PaperRow},
@@ -16,6 +17,8 @@ use crate::{
     table::{Cell, Table},
     verdict::RowVerdict,
 };
+use std::path::Path;
+use tcross_dataset::files;
 
 /// A table and its file name.
 #[derive(Debug, Clone)]
@@ -27,8 +30,21 @@ pub struct Named {
 }
 
 impl Named {
-    pub(super) fn new(key: impl Into<String>, table: Table) -> Self {
+    /// Of a key that can be a file's name.
+    pub fn new(key: impl Into<String>, table: Table) -> Self {
         Self { key: key.into(), table }
+    }
+
+    /// Writes `tables/KEY.md`, `.csv` and `.tex` in a folder.
+    ///
+    /// # Errors
+    /// If a file cannot be written.
+    pub fn write(&self, out: &Path) -> Result<(), EvalError> {
+        files::create_dir(out.join("tables"))?;
+        let write = |kind: &str, text: String| files::write_atomically(out.join(format!("tables/{}.{kind}", self.key)), text);
+        write("md", self.table.markdown())?;
+        write("csv", self.table.csv())?;
+        Ok(write("tex", self.table.latex(&self.key))?)
     }
 }
 
@@ -206,18 +222,24 @@ pub fn table_6(run: &Run) -> Option<Table> {
     Some(table)
 }
 
-/// COCO's twelve numbers, a row a run.
+/// COCO's numbers, a row a run; `None` where a run has none.
 pub fn coco(runs: &[Run]) -> Option<Table> {
-    let columns = ["run", "AP", "AP50", "AP75", "AP small", "AP medium", "AP large", "AR1", "AR10", "AR100"];
     runs.first()?;
+    let rows: Option<Vec<(&str, CocoScores)>> = runs.iter().map(|r| Some((r.evaluation.name.as_str(), r.evaluation.coco?))).collect();
+    Some(coco_scores(&rows?))
+}
+
+/// COCO's numbers, a row a name.
+#[must_use]
+pub fn coco_scores(rows: &[(&str, CocoScores)]) -> Table {
+    let columns = ["run", "AP", "AP50", "AP75", "AP small", "AP medium", "AP large", "AR1", "AR10", "AR100"];
     let mut table = Table::new("COCO's average precision and recall.", &columns);
-    for run in runs {
-        let c: CocoScores = run.evaluation.coco?;
+    for (name, c) in rows {
         let numbers = [c.ap, c.ap50, c.ap75, c.ap_small, c.ap_medium, c.ap_large, c.ar1, c.ar10, c.ar100];
-        table.rows.push([Cell::text(&run.evaluation.name)].into_iter().chain(numbers.map(|n| Cell::number(n, 3))).collect());
+        table.rows.push([Cell::text(*name)].into_iter().chain(numbers.map(|n| Cell::number(n, 3))).collect());
     }
     table.notes.push("Small: area below 32 x 32 px; large: above 96 x 96 px.".into());
-    Some(table)
+    table
 }
 
 /// The metrics of markers of at least some size, a row a run and size; `None` where no size is asked for.

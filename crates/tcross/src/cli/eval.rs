@@ -1,5 +1,5 @@
 //! `tcross eval TRUTH DETECTIONS...`
-use super::{ConfigArgs, Part, example, must_exist};
+use super::{ConfigArgs, Part, eval_coco, example, must_exist};
 use crate::{
     config, console,
     exit::{Failure, Outcome},
@@ -15,7 +15,7 @@ const EXAMPLE: &str = "eval data/hand-drawn detections.jsonl --protocol paper,co
 #[derive(clap::Args)]
 #[command(after_help = example(EXAMPLE))]
 pub struct Args {
-    /// A dataset's folder, or one of its lists
+    /// A dataset's folder, one of its lists, or COCO's instances as .json (then DETECTIONS are COCO's results)
     #[arg(required_unless_present = "sweep")]
     truth: Option<PathBuf>,
     /// Files of detections; several are compared
@@ -69,6 +69,16 @@ pub fn run(args: Args) -> Outcome {
         }
     })?;
     let Some(config) = config else { return Ok(()) };
+    if let Some(truth) = args.truth.as_deref().filter(|truth| eval_coco::is_instances(truth)) {
+        let unfit = !args.sweep.is_empty() || !args.validation.is_empty() || args.protocol.iter().any(|p| *p != Protocol::Coco);
+        if unfit {
+            return Err(Failure::usage(format!(
+                "{}: COCO's files are scored by --protocol coco alone; `tcross dataset convert --to native` makes a dataset of them",
+                truth.display()
+            )));
+        }
+        return eval_coco::run(truth, &args.detections, args.out.as_deref());
+    }
     let mut provenance = work::provenance();
     let truth = match &args.truth {
         Some(path) => open(path, args.split, &mut provenance)?,
@@ -167,7 +177,7 @@ fn validations(args: &Args, config: &tcross_eval::Config, provenance: &mut Vec<(
 }
 
 /// The file's name without its ending, or its folder's where several files have one name.
-fn name_of(path: &Path, all: &[PathBuf]) -> String {
+pub(super) fn name_of(path: &Path, all: &[PathBuf]) -> String {
     let stem = |p: &Path| p.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let alone = all.iter().filter(|p| stem(p) == stem(path)).count() == 1;
     let folder = path.parent().and_then(Path::file_name).map(|n| n.to_string_lossy().into_owned());

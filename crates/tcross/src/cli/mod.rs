@@ -3,6 +3,7 @@ mod completions;
 mod datagen;
 mod dataset;
 mod eval;
+mod eval_coco;
 mod infer;
 mod model;
 mod reproduce;

@@ -94,3 +94,32 @@ fn faults_are_errors_with_a_line_or_counted() {
     assert_eq!(metrics(dir.path())["problems"], serde_json::json!({"unknown_image": 1, "duplicate_line": 1, "bad_line": 1}));
     assert!(ran.stderr.contains("1 further lines for one image"), "{}", ran.stderr);
 }
+
+/// COCO's own files are scored as they are; what they cannot hold is said.
+#[test]
+fn cocos_files_are_scored_as_they_are() {
+    let dir = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| {
+        std::fs::write(dir.path().join(name), text).unwrap();
+        word(&dir.path().join(name))
+    };
+    let truth = write(
+        "instances.json",
+        r#"{"images":[{"id":7,"file_name":"a.jpg","width":100,"height":100}],"categories":[{"id":1,"name":"marker"}],
+            "annotations":[{"id":1,"image_id":7,"category_id":1,"bbox":[10,10,40,40],"area":1600,"iscrowd":0}]}"#,
+    );
+    let found = write("found.json", r#"[{"image_id":7,"category_id":1,"bbox":[10,10,40,30],"score":0.9}]"#);
+    let strange = write("strange.json", r#"[{"image_id":8,"category_id":1,"bbox":[10,10,40,30],"score":0.9}]"#);
+    let eval = |words: &[&str]| tcross(["eval"].iter().chain(words).map(|w| (*w).to_owned()));
+    eval(&[&truth, &found, "--out", &word(&dir.path().join("out"))]).good();
+    // IoU 0.75: a hit at six of the ten levels.
+    let coco = &metrics(dir.path())["coco"];
+    assert!((coco["ap"].as_f64().unwrap() - 0.6).abs() < 1e-9 && coco["ap50"].as_f64() == Some(1.0), "{coco}");
+    assert!(dir.path().join("out/tables/coco.tex").is_file());
+    let ran = eval(&[&truth, &strange]);
+    let message = ran.error(1);
+    assert!(message.contains("strange.json") && message.contains("image 8"), "{message}");
+    let ran = eval(&[&truth, &found, "--protocol", "paper"]);
+    let message = ran.error(2);
+    assert!(message.contains("--protocol coco"), "{message}");
+}

@@ -133,8 +133,8 @@ pub fn slice(slice: &Slice) -> Option<Figure> {
     let right = classes.iter().map(|(x, c)| [*x, c.precision.unwrap_or(f64::NAN)]).collect();
     let precision = Series::line("precision", right).dashed();
     let (first, last) = (classes[0].0, classes[classes.len() - 1].0);
-    // Fractions stay linear: near 0 a ratio means nothing.
-    let wide = first >= 1.0 && last / first > 10.0;
+    // Only lengths are read by their ratios; angles and fractions are not.
+    let wide = slice.label.ends_with("(px)") && first >= 1.0 && last / first > 10.0;
     let x = if wide { Axis::log(&slice.label) } else { Axis::linear(&slice.label) };
     let plot = LinePlot::new("", x, Axis::linear("fraction").from_to(0.0, 1.0)).with(recall).with(iou).with(precision);
     let plot = plot.caption("Each point is a class at its mean; n counts its markers. Band: 95 %, Wilson.");

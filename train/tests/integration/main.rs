@@ -1,4 +1,5 @@
 //! Whole trainings of a tiny network on a toy dataset.
+#![allow(clippy::unwrap_used, reason = "helpers of tests may panic too")]
 mod fast_path;
 #[cfg(feature = "wgpu")]
 mod gpu;

@@ -10,6 +10,7 @@ use crate::{
         paper::{MatchedImage, Row, Scores},
         pose::{PoseOutcomes, measure_poses},
     },
+    ranks,
     truth::Truth,
     validate::{coco_cells, score_native},
 };
@@ -129,19 +130,20 @@ fn mean_times(times: &[StageTimes]) -> Option<StageTimes> {
     (!times.is_empty()).then(|| StageTimes { decode: mean(&|t| t.decode), network: mean(&|t| t.network), pose })
 }
 
+/// The scores of an image's false positives.
+fn false_positives(image: &MatchedImage) -> impl Iterator<Item = f64> {
+    image.claims.iter().filter(|c| c.verdict == Verdict::FalsePositive).map(|c| c.score)
+}
+
 /// The thresholds at which everything is counted: the configured ones, steps of 0.01 for curves over the threshold, and the
 /// scores at which false positives reach round numbers an image, for curves over false positives.
 fn grid(images: &[MatchedImage], config: &Config) -> Vec<f64> {
     let mut all: Vec<f64> =
         config.thresholds.iter().copied().chain([config.threshold]).chain((0..=100).map(|k| f64::from(k) / 100.0)).collect();
-    let false_positives = |i: &MatchedImage| i.claims.iter().filter(|c| c.verdict == Verdict::FalsePositive).map(|c| c.score).collect();
-    let mut scores: Vec<f64> = images.par_iter().flat_map_iter(|i| -> Vec<f64> { false_positives(i) }).collect();
-    scores.par_sort_unstable_by(|a, b| b.total_cmp(a));
-    let mut rank = 1.0;
-    while (rank as usize) <= scores.len() {
-        all.push(scores[rank as usize - 1]);
-        rank = (rank * 1.15f64).max(rank + 1.0);
-    }
+    let false_positives = || images.par_iter().map(false_positives);
+    let counts = ranks::count(false_positives());
+    let rounded = std::iter::successors(Some(1.0), |rank: &f64| Some((rank * 1.15).max(rank + 1.0))).map(|rank| rank as usize - 1);
+    all.extend(counts.at(rounded.take_while(|rank| *rank < counts.total()), false_positives));
     all.sort_by(f64::total_cmp);
     all.dedup_by(|a, b| (*a - *b).abs() < 1e-12);
     all

@@ -17,6 +17,7 @@ pub mod metrics;
 pub mod min_side;
 pub mod paper_tables;
 pub mod protocol;
+mod ranks;
 pub mod report;
 pub mod slices;
 pub mod sweep;

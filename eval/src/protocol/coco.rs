@@ -5,6 +5,7 @@
 //! is made monotone and read at 101 points of recall; averages leave out categories without truth.
 use rayon::prelude::*;
 use serde::Serialize;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 /// A truth: `[x, y, width, height]` in pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -219,9 +220,7 @@ fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
 }
 
 fn accumulate(cells: &[CocoCell]) -> Curve {
-    let mut all: Vec<(f64, u64, u64)> = cells.iter().flat_map(|c| c.claims.iter().copied()).collect();
-    all.par_sort_by(|a, b| (b.0 + 0.0).total_cmp(&(a.0 + 0.0)));
-    let mut precision = precision_at_hits(&all);
+    let mut precision = precision_at_hits(&Ranked::new(cells));
     let recalled = hits_among_first(cells);
     let mut curve = Curve {
         precision_sum: [[0.0; IOUS]; AREAS.len()],
@@ -241,17 +240,61 @@ fn accumulate(cells: &[CocoCell]) -> Curve {
     curve
 }
 
-/// For every area and threshold the precision at each hit, by falling score. One pass: most claims match nothing, and such a
-/// claim is a miss at all thresholds of an area, or ignored at all of them.
-fn precision_at_hits(claims: &[(f64, u64, u64)]) -> Vec<Vec<f64>> {
+/// A claim that matches a truth at some threshold and area.
+struct Match {
+    score: f64,
+    /// Position among all claims in order of the cells: of equal scores the first counts first.
+    position: usize,
+    matched: u64,
+    ignored: u64,
+}
+
+/// The claims that match something, by falling score, and of all others, which are most, only how many come before each.
+struct Ranked {
+    matches: Vec<Match>,
+    /// Claims that match nothing and are not ignored in an area, between a match and the one before it; one a match, and one behind.
+    misses: Vec<[AtomicU32; AREAS.len()]>,
+}
+
+impl Ranked {
+    fn new(cells: &[CocoCell]) -> Self {
+        let starts: Vec<usize> = cells.iter().scan(0, |at, c| Some(std::mem::replace(at, *at + c.claims.len()))).collect();
+        let claims = |k: usize| cells[k].claims.iter().enumerate().map(move |(rank, c)| (rank, c.0 + 0.0, c.1, c.2));
+        let matches = (0..cells.len()).into_par_iter().flat_map_iter(|k| {
+            let start = starts[k];
+            let found = claims(k).filter(|(_, _, matched, _)| *matched != 0);
+            found.map(move |(rank, score, matched, ignored)| Match { score, position: start + rank, matched, ignored })
+        });
+        let mut matches: Vec<Match> = matches.collect();
+        matches.par_sort_unstable_by(|a, b| b.score.total_cmp(&a.score).then(a.position.cmp(&b.position)));
+        let misses: Vec<[AtomicU32; AREAS.len()]> = (0..=matches.len()).map(|_| Default::default()).collect();
+        (0..cells.len()).into_par_iter().for_each(|k| {
+            for (rank, score, _, ignored) in claims(k).filter(|(_, _, matched, _)| *matched == 0) {
+                let before = |m: &Match| m.score > score || (m.score == score && m.position < starts[k] + rank);
+                let place = &misses[matches.partition_point(before)];
+                let counting = place.iter().enumerate().filter(|(a, _)| of_area(ignored, *a) == 0);
+                counting.for_each(|(_, count)| _ = count.fetch_add(1, Ordering::Relaxed));
+            }
+        });
+        Self { matches, misses }
+    }
+}
+
+/// The bits of a mask that belong to an area.
+fn of_area(mask: u64, area: usize) -> u64 {
+    mask >> (area * IOUS) & ((1 << IOUS) - 1)
+}
+
+/// For every area and threshold the precision at each hit, by falling score.
+fn precision_at_hits(ranked: &Ranked) -> Vec<Vec<f64>> {
     let mut out: Vec<Vec<f64>> = vec![Vec::new(); AREAS.len() * IOUS];
     let mut misses = [0u64; AREAS.len() * IOUS];
     let mut misses_everywhere = [0u64; AREAS.len()];
-    for (_, matched, ignored) in claims {
+    for (Match { matched, ignored, .. }, between) in ranked.matches.iter().zip(&ranked.misses) {
         for (a, everywhere) in misses_everywhere.iter_mut().enumerate() {
-            let of_area = |mask: u64| mask >> (a * IOUS) & ((1 << IOUS) - 1);
-            if of_area(*matched) == 0 {
-                *everywhere += u64::from(of_area(*ignored) == 0);
+            *everywhere += u64::from(between[a].load(Ordering::Relaxed));
+            if of_area(*matched, a) == 0 {
+                *everywhere += u64::from(of_area(*ignored, a) == 0);
                 continue;
             }
             for k in (a * IOUS..(a + 1) * IOUS).filter(|k| ignored >> k & 1 == 0) {

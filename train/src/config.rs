@@ -101,13 +101,13 @@ pub enum ClipBy {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Optimizer {
-    /// `adamw` or `sgd`.
+    /// `adamw`, `sgd` or `muon`.
     pub kind: OptimizerKind,
     /// Highest learning rate.
     pub rate: f64,
     /// Weight decay of convolution kernels; biases and batch norm have none. Decoupled for AdamW, added to the gradient for SGD.
     pub decay: f64,
-    /// SGD's momentum; AdamW's first decay rate.
+    /// SGD's momentum, Muon's for kernels; AdamW's first decay rate.
     pub momentum: f64,
     /// AdamW's second decay rate.
     pub second_momentum: f64,
@@ -122,6 +122,8 @@ pub enum OptimizerKind {
     Adamw,
     /// Gradient descent with momentum.
     Sgd,
+    /// Momentum made orthogonal for convolution kernels, AdamW for everything else.
+    Muon,
 }
 
 /// The rate over time, as a factor on the highest rate.

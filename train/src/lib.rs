@@ -27,6 +27,7 @@ pub mod ema;
 pub mod error;
 pub mod fit;
 pub mod memory;
+mod muon;
 pub mod optimizer;
 pub mod progress;
 pub mod repeat;

@@ -64,7 +64,7 @@ impl Rule {
                     }
                 });
             }
-            OptimizerKind::Adamw => {
+            OptimizerKind::Adamw | OptimizerKind::Muon => {
                 slot.second.resize(parameter.len(), 0.0);
                 let [first_share, second_share] = self.correction;
                 let (keep, rate) = (1.0 - self.rate * decay, self.rate / first_share);
@@ -81,6 +81,20 @@ impl Rule {
                 });
             }
         }
+    }
+}
+
+impl Rule {
+    /// Whether kernels move along directions of their own, by [`Self::stride`], and only the rest by [`Self::update`].
+    #[must_use]
+    pub fn orthogonal(&self) -> bool {
+        self.kind == OptimizerKind::Muon
+    }
+
+    /// Moves a kernel along a direction, in place.
+    pub fn stride(&self, kernel: &mut [f32], direction: &[f32]) {
+        let keep = 1.0 - self.rate * self.decay;
+        kernel.iter_mut().zip(direction).for_each(|(p, d)| *p = keep * *p - self.rate * d);
     }
 }
 

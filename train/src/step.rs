@@ -4,12 +4,14 @@ use crate::{
     data::Batch,
     device::Accelerator,
     error::TrainError,
+    muon,
     optimizer::{Rule, Slot, clip_gains, squared_norm},
 };
 use burn::{
     module::{Module, ModuleMapper, ModuleVisitor, Param},
     tensor::{Device, Gradients, Tensor, TensorData},
 };
+use rayon::prelude::*;
 use tcross_kernels::ops::{self, Path};
 use tcross_yolo::{Loss, LossTerms, ModelConfig, Statistics, Weights, Yolo, network::read_logits};
 
@@ -95,7 +97,12 @@ impl Trainer {
         if gradient_norm.is_finite() {
             self.slots.resize(collected.values.len(), Slot::default());
             let rule = Rule::new(&self.optimizer, rate, step);
-            let mut update = Update { rule, gradients: &collected.values, gains: &gains, slots: &mut self.slots, at: 0 };
+            let directions = match rule.orthogonal() {
+                true => directions(&rule, &collected.values, &gains, &mut self.slots),
+                false => vec![None; gains.len()],
+            };
+            let mut update =
+                Update { rule, gradients: &collected.values, gains: &gains, directions: &directions, slots: &mut self.slots, at: 0 };
             self.network = Some(network.map(&mut update));
         } else {
             self.network = Some(network);
@@ -138,11 +145,21 @@ impl ModuleVisitor for Collect {
     }
 }
 
+/// The direction in which each kernel moves; none for other parameters. Kernels are independent of each other, so threads change nothing.
+fn directions(rule: &Rule, gradients: &[Option<TensorData>], gains: &[f32], slots: &mut [Slot]) -> Vec<Option<Vec<f32>>> {
+    let one = |((gradient, gain), slot): ((&Option<TensorData>, &f32), &mut Slot)| {
+        let gradient = gradient.as_ref().filter(|g| g.shape().len() == 4)?;
+        Some(muon::direction(floats(gradient), *gain, gradient.shape()[0], rule.momentum, slot))
+    };
+    gradients.par_iter().zip(gains).zip(slots).map(one).collect()
+}
+
 /// Moves each parameter.
 struct Update<'a> {
     rule: Rule,
     gradients: &'a [Option<TensorData>],
     gains: &'a [f32],
+    directions: &'a [Option<Vec<f32>>],
     slots: &'a mut [Slot],
     at: usize,
 }
@@ -156,8 +173,11 @@ impl ModuleMapper for Update<'_> {
         let device = tensor.device();
         let mut data = tensor.inner().into_data();
         let values = data.as_mut_slice::<f32>().expect("parameters are f32");
-        // Kernels have four dimensions; biases and batch norm's numbers have one and no decay.
-        self.rule.update(values, floats(gradient), self.gains[at], D == 4, &mut self.slots[at]);
+        match &self.directions[at] {
+            Some(direction) => self.rule.stride(values, direction),
+            // Kernels have four dimensions; biases and batch norm's numbers have one and no decay.
+            None => self.rule.update(values, floats(gradient), self.gains[at], D == 4, &mut self.slots[at]),
+        }
         Param::from_mapped_value(id, Tensor::from_data(data, &device).require_grad(), mapper)
     }
 }

@@ -6,6 +6,7 @@ pub mod allocator;
 mod buffer;
 pub mod conv;
 mod gather;
+pub mod matrix;
 pub mod norm;
 #[cfg(feature = "burn")]
 pub mod ops;

@@ -157,6 +157,9 @@ pub struct ModelSection {
     pub input: NetSize,
     /// `"kmeans"` (over the training boxes), `"coco"` (the published ones), or a list of `[width, height]` in net-input pixels.
     pub anchors: AnchorChoice,
+    /// Length, in cells, of the interval in which a cell's boxes have their centres, 1..=3: 1 in YOLOv3; above, the cells beside the one
+    /// that holds a centre learn its box too where they reach it (Darknet's `scale_x_y`).
+    pub scale_xy: f32,
     /// Added to the variance inside the root of batch norm.
     pub epsilon: f64,
 }
@@ -173,6 +176,7 @@ impl Default for ModelSection {
             keypoints: 0,
             input: NetSize::square(416),
             anchors: AnchorChoice::Named(AnchorSource::Kmeans),
+            scale_xy: 1.0,
             epsilon: BATCH_NORM_EPSILON,
         }
     }
@@ -225,6 +229,7 @@ impl ModelSection {
             anchors,
             heads: self.strides(),
             masks: masks(self.strides().len()),
+            scale_xy: self.scale_xy,
             boxes,
             epsilon: self.epsilon,
             layers: None,
@@ -269,6 +274,9 @@ pub struct ModelConfig {
     pub heads: Vec<usize>,
     /// Indices of the anchors of each head, coarse first.
     pub masks: Vec<Vec<usize>>,
+    /// Length, in cells, of the interval in which a cell's boxes have their centres.
+    #[serde(default = "unit", skip_serializing_if = "is_unit")]
+    pub scale_xy: f32,
     /// How the training boxes counted pixels; detections count alike.
     #[serde(default)]
     pub boxes: BoxConvention,
@@ -281,6 +289,15 @@ pub struct ModelConfig {
 
 fn one() -> f64 {
     1.0
+}
+
+fn unit() -> f32 {
+    1.0
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde hands it over so")]
+fn is_unit(value: &f32) -> bool {
+    *value == 1.0
 }
 
 fn eight() -> usize {
@@ -305,6 +322,9 @@ impl ModelConfig {
         }
         if self.depth != 1.0 {
             variant.push(format!("depth x {}", self.depth));
+        }
+        if self.scale_xy != 1.0 {
+            variant.push(format!("centres within {} cells", self.scale_xy));
         }
         if self.keypoints > 0 {
             variant.push(format!("{} keypoint(s) a box", self.keypoints));
@@ -332,6 +352,9 @@ impl ModelConfig {
         positive("model.width", self.width, 4.0)?;
         positive("model.depth", self.depth, 4.0)?;
         positive("model.epsilon", self.epsilon, 0.1)?;
+        if !(1.0..=3.0).contains(&self.scale_xy) {
+            return Err(YoloError::value("model.scale_xy", self.scale_xy, "1 to 3"));
+        }
         for (key, value, most) in [
             ("classes", self.classes, MOST_CLASSES),
             ("channel_multiple", self.channel_multiple, 1024),
@@ -404,7 +427,8 @@ impl ModelConfig {
     /// Grids and anchors of the heads for an input of this size.
     #[must_use]
     pub fn geometry(&self, net: NetSize) -> Geometry {
-        Geometry::new(net, self.fields(), self.anchors.clone(), self.masks.iter().cloned().zip(self.heads.iter().copied()))
+        let heads = self.masks.iter().cloned().zip(self.heads.iter().copied());
+        Geometry { scale_xy: self.scale_xy, ..Geometry::new(net, self.fields(), self.anchors.clone(), heads) }
     }
 
     /// Channels of a layer that has `published` ones at width 1.

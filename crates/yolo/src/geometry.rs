@@ -12,6 +12,8 @@ pub struct Geometry {
     pub anchors: Vec<[f32; 2]>,
     /// The heads, coarse first.
     pub heads: Vec<HeadGeometry>,
+    /// Length, in cells, of the interval around a cell's middle in which its centres lie; 1 in YOLOv3.
+    pub scale_xy: f32,
 }
 
 /// One head's grid.
@@ -77,7 +79,7 @@ pub fn sigmoid(x: f32) -> f32 {
 }
 
 impl Geometry {
-    /// From each head's mask and stride, coarse first.
+    /// YOLOv3's, from each head's mask and stride, coarse first.
     pub fn new(net: NetSize, fields: BoxFields, anchors: Vec<[f32; 2]>, heads: impl IntoIterator<Item = (Vec<usize>, usize)>) -> Self {
         let head = |(mask, stride_px): (Vec<usize>, usize)| HeadGeometry {
             mask,
@@ -85,7 +87,7 @@ impl Geometry {
             columns: net.width / stride_px,
             rows: net.height / stride_px,
         };
-        Self { net, fields, anchors, heads: heads.into_iter().map(head).collect() }
+        Self { net, fields, anchors, heads: heads.into_iter().map(head).collect(), scale_xy: 1.0 }
     }
 
     /// Number of logits that a head gives for one image, in the order `[anchor, field, row, column]`.
@@ -108,18 +110,30 @@ impl Geometry {
     }
 
     /// The box that a predictor's first four logits mean:
-    /// `((column + sigmoid(tx)) / columns, (row + sigmoid(ty)) / rows, exp(tw) anchor_w, exp(th) anchor_h)`.
+    /// `((column + s(tx)) / columns, (row + s(ty)) / rows, exp(tw) anchor_w, exp(th) anchor_h)`, with the sigmoid stretched about 1/2:
+    /// `s(t) = 1/2 + scale_xy (sigmoid(t) - 1/2)`.
     #[must_use]
     pub fn decode_box(&self, at: Predictor, [tx, ty, tw, th]: [f32; 4]) -> NormBox {
         let head = &self.heads[at.head];
         let (column, row) = (at.cell % head.columns, at.cell / head.columns);
         let [aw, ah] = self.anchor(at);
         NormBox {
-            x: (column as f32 + sigmoid(tx)) / head.columns as f32,
-            y: (row as f32 + sigmoid(ty)) / head.rows as f32,
+            x: (column as f32 + self.stretched(sigmoid(tx))) / head.columns as f32,
+            y: (row as f32 + self.stretched(sigmoid(ty))) / head.rows as f32,
             w: tw.exp() * aw,
             h: th.exp() * ah,
         }
+    }
+
+    fn stretched(&self, sigmoid: f32) -> f32 {
+        0.5 + self.scale_xy * (sigmoid - 0.5)
+    }
+
+    /// The value of the sigmoid, 0..1, that means this place relative to a cell's upper left corner, in cells; outside 0..1 where the cell
+    /// cannot reach it.
+    #[must_use]
+    pub fn sigmoid_of(&self, within: f32) -> f32 {
+        0.5 + (within - 0.5) / self.scale_xy
     }
 
     /// A predictor's first four logits.

@@ -66,7 +66,7 @@ pub struct Positive<'a> {
     pub truth: &'a Truth,
     /// The classes of all that claimed it, in their order.
     pub classes: Vec<u32>,
-    /// Targets of the four box logits: x and y within the cell (after the sigmoid), ln of width and height over the anchor's.
+    /// Targets of the four box logits: x and y (after the sigmoid), ln of width and height over the anchor's.
     pub target: [f32; 4],
     /// `2 - w h`: small boxes count more.
     pub scale: f32,
@@ -74,7 +74,8 @@ pub struct Positive<'a> {
 
 /// Gives each truth of an image to the one anchor, over all heads, of best shape, in the cell that holds its centre. Truths that claim
 /// the same predictor overwrite each other's box, and add up their classes. Then every other anchor whose shape overlaps a truth's by more
-/// than `assign_iou` learns it too, where nothing claimed it before (AlexeyAB's `iou_thresh`; 1 for none).
+/// than `assign_iou` learns it too, where nothing claimed it before (AlexeyAB's `iou_thresh`; 1 for none), and so does, for each of these
+/// anchors, every cell beside that one, across or down, that reaches the centre (none where `scale_xy` is 1).
 ///
 /// # Errors
 /// If a truth is out of range; `image` is only named.
@@ -95,15 +96,46 @@ pub fn assign<'a>(geometry: &Geometry, image: usize, truths: &'a [Truth], assign
             }
         }
     }
+    let mut claim = |at: Predictor, truth: &'a Truth| {
+        if positives.iter().all(|p| p.at != at) {
+            positives.push(positive(geometry, at, truth));
+        }
+    };
     for truth in truths.iter().filter(|_| assign_iou < 1.0) {
-        for anchor in (0..geometry.anchors.len()).filter(|&anchor| shape_iou(geometry, anchor, &truth.bounds) > assign_iou) {
-            let Some(at) = predictor(geometry, anchor, &truth.bounds) else { continue };
-            if positives.iter().all(|p| p.at != at) {
-                positives.push(positive(geometry, at, truth));
-            }
+        for at in alike(geometry, truth, assign_iou) {
+            claim(at, truth);
+        }
+    }
+    for truth in truths.iter().filter(|_| geometry.scale_xy > 1.0) {
+        let best = predictor(geometry, best_anchor(geometry, &truth.bounds), &truth.bounds);
+        for at in best.into_iter().chain(alike(geometry, truth, assign_iou)) {
+            beside(geometry, at, &truth.bounds).for_each(|at| claim(at, truth));
         }
     }
     Ok(positives)
+}
+
+/// The predictors, in the cell that holds a truth's centre, whose anchors' shapes overlap the truth's by more than `assign_iou`.
+fn alike<'a>(geometry: &'a Geometry, truth: &'a Truth, assign_iou: f32) -> impl Iterator<Item = Predictor> + 'a {
+    (0..geometry.anchors.len())
+        .filter(move |&anchor| shape_iou(geometry, anchor, &truth.bounds) > assign_iou)
+        .filter_map(|anchor| predictor(geometry, anchor, &truth.bounds))
+}
+
+/// The predictors of the same anchor in the cells left, right, above and below that reach a box's centre.
+fn beside<'a>(geometry: &'a Geometry, at: Predictor, b: &'a NormBox) -> impl Iterator<Item = Predictor> + 'a {
+    let grid = &geometry.heads[at.head];
+    let (column, row) = (at.cell % grid.columns, at.cell / grid.columns);
+    let cells = [
+        (Some(column), row.checked_sub(1)),
+        (Some(column), Some(row + 1)),
+        (column.checked_sub(1), Some(row)),
+        (Some(column + 1), Some(row)),
+    ];
+    let inside = cells.into_iter().filter_map(|(column, row)| Some((column?, row?))).filter(|(c, r)| *c < grid.columns && *r < grid.rows);
+    inside
+        .map(move |(column, row)| Predictor { cell: row * grid.columns + column, ..at })
+        .filter(move |at| target(geometry, *at, b)[..2].iter().all(|p| (0.0..=1.0).contains(p)))
 }
 
 fn positive<'a>(geometry: &Geometry, at: Predictor, truth: &'a Truth) -> Positive<'a> {
@@ -142,7 +174,7 @@ fn target(geometry: &Geometry, at: Predictor, b: &NormBox) -> [f32; 4] {
     let grid = &geometry.heads[at.head];
     let [aw, ah] = geometry.anchor(at);
     let (column, row) = (at.cell % grid.columns, at.cell / grid.columns);
-    let within = |at: f32, cells: usize, cell: usize| at * cells as f32 - cell as f32;
+    let within = |at: f32, cells: usize, cell: usize| geometry.sigmoid_of(at * cells as f32 - cell as f32);
     [within(b.x, grid.columns, column), within(b.y, grid.rows, row), (b.w / aw).ln(), (b.h / ah).ln()]
 }
 
@@ -221,5 +253,22 @@ mod tests {
             let [aw, ah] = geometry.anchor(p.at);
             assert!((p.target[2].exp() * aw - 0.11).abs() < 1e-5 && (p.target[3].exp() * ah - 0.14).abs() < 1e-5);
         }
+    }
+
+    #[test]
+    fn cells_beside_learn_what_they_reach() {
+        let geometry = Geometry { scale_xy: 2.0, ..tiny() };
+        // Cell (6, 3) of the fine head, a quarter from its left and upper border: the cells left and above reach half a cell beyond it.
+        let truths = [truth(95.0, 45.0, 105.0, 59.0, 1)];
+        let positives = assign(&geometry, 0, &truths, 1.0).unwrap();
+        let cells: Vec<usize> = positives.iter().map(|p| p.at.cell).collect();
+        assert_eq!(cells, [3 * 26 + 6, 2 * 26 + 6, 3 * 26 + 5]);
+        for p in &positives {
+            let logit = |t: f32| (t / (1.0 - t)).ln();
+            let b = geometry.decode_box(p.at, [logit(p.target[0]), logit(p.target[1]), p.target[2], p.target[3]]);
+            assert!((b.x - truths[0].bounds.x).abs() < 1e-5 && (b.y - truths[0].bounds.y).abs() < 1e-5, "{b:?}");
+        }
+        // In a corner of the picture there is nothing beyond.
+        assert_eq!(assign(&geometry, 0, &[truth(0.0, 0.0, 8.0, 8.0, 1)], 1.0).unwrap().len(), 1);
     }
 }

@@ -174,11 +174,12 @@ impl ImageLogits<'_> {
     /// Whether a predictor's box overlaps a truth by more than `ignore_iou`.
     fn overlaps(&self, at: Predictor, truths: &[Truth], ignore_iou: f32) -> bool {
         // Two intervals whose centres are d apart, the one t long, overlap by at most t / (t + 2 d), whatever the other's length. A box has
-        // its centre in its cell, so nearly all cells are too far away, and need no exponentials.
+        // its centre in or near its cell, so nearly all cells are too far away, and need no exponentials.
         let reach = (1.0 - ignore_iou) / (2.0 * ignore_iou) + 1e-3;
         let grid = &self.geometry.heads[at.head];
         let (column, row) = ((at.cell % grid.columns) as f32, (at.cell / grid.columns) as f32);
-        let away = |centre: f32, cell: f32, cells: usize| (cell / cells as f32 - centre).max(centre - (cell + 1.0) / cells as f32);
+        let half = self.geometry.scale_xy / 2.0;
+        let away = |centre: f32, cell: f32, cells: usize| (cell + 0.5 - centre * cells as f32).abs() / cells as f32 - half / cells as f32;
         let near = |b: &NormBox| away(b.x, column, grid.columns) <= reach * b.w && away(b.y, row, grid.rows) <= reach * b.h;
         if !truths.iter().any(|truth| near(&truth.bounds)) {
             return false;

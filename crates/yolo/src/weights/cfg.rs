@@ -24,6 +24,7 @@ struct Section<'a> {
 struct Heads {
     anchors: Vec<[f32; 2]>,
     classes: usize,
+    scale_xy: f32,
 }
 
 /// Reads a cfg file: the model's description, of a named architecture where the layers are one's.
@@ -51,7 +52,7 @@ pub fn parse(path: impl AsRef<Path>, text: &str) -> Result<ModelConfig, YoloErro
         return Err(net.wrong("channels", "3"));
     }
     let (graph, heads) = build(path, body)?;
-    let Some(Heads { anchors, classes }) = heads else {
+    let Some(Heads { anchors, classes, scale_xy }) = heads else {
         return Err(YoloError::line(path, all.last().map_or(1, |s| s.line), "no [yolo] section"));
     };
     let config = ModelConfig {
@@ -67,6 +68,7 @@ pub fn parse(path: impl AsRef<Path>, text: &str) -> Result<ModelConfig, YoloErro
         anchors,
         heads: graph.heads().map(|(_, _, stride)| stride).collect(),
         masks: graph.heads().map(|(_, mask, _)| mask.to_vec()).collect(),
+        scale_xy,
         boxes: BoxConvention::Continuous,
         epsilon: BATCH_NORM_EPSILON,
         layers: None,
@@ -79,7 +81,7 @@ pub fn parse(path: impl AsRef<Path>, text: &str) -> Result<ModelConfig, YoloErro
 /// The description of a network that keeps its layers as text.
 #[must_use]
 pub fn with_layers(config: ModelConfig, graph: &Graph) -> ModelConfig {
-    let layers = Some(write_layers(graph, &config.anchors, config.classes));
+    let layers = Some(write_layers(graph, &config));
     ModelConfig { architecture: Architecture::DarknetCfg, width: 1.0, depth: 1.0, channel_multiple: 8, layers, ..config }
 }
 
@@ -122,7 +124,7 @@ pub fn write(config: &ModelConfig) -> Result<String, YoloError> {
     }
     let NetSize { width, height } = config.input;
     let net = format!("[net]\nbatch=1\nsubdivisions=1\nwidth={width}\nheight={height}\nchannels=3\n");
-    Ok(net + &write_layers(&config.graph()?, &config.anchors, config.classes))
+    Ok(net + &write_layers(&config.graph()?, config))
 }
 
 fn sections<'a>(path: &'a Path, text: &'a str) -> Result<Vec<Section<'a>>, YoloError> {
@@ -212,7 +214,6 @@ impl Section<'_> {
     }
 
     fn yolo(&self, channels: usize) -> Result<(Vec<usize>, Heads), YoloError> {
-        self.is("scale_x_y", "1")?;
         self.is("new_coords", "0")?;
         let values: Vec<f32> = self.numbers("anchors")?;
         let (pairs, rest) = values.as_chunks::<2>();
@@ -230,7 +231,8 @@ impl Section<'_> {
                 self.wrong("classes", format!("a number that fits the {channels} filters before ({classes} classes need {wanted})"))
             );
         }
-        Ok((mask, Heads { anchors: pairs.to_vec(), classes }))
+        let scale_xy = self.entry("scale_x_y").map_or(Ok(1.0), |(_, v)| v.parse().map_err(|_| self.wrong("scale_x_y", "a number")))?;
+        Ok((mask, Heads { anchors: pairs.to_vec(), classes, scale_xy }))
     }
 }
 
@@ -278,7 +280,8 @@ fn build(path: &Path, sections: &[Section]) -> Result<(Graph, Option<Heads>), Yo
     Ok((graph, heads))
 }
 
-fn write_layers(graph: &Graph, anchors: &[[f32; 2]], classes: usize) -> String {
+fn write_layers(graph: &Graph, config: &ModelConfig) -> String {
+    let ModelConfig { anchors, classes, scale_xy, .. } = config;
     let list = |values: &[usize]| values.iter().map(ToString::to_string).collect::<Vec<_>>().join(",");
     let pairs: Vec<String> = anchors.iter().map(|[w, h]| format!("{w},{h}")).collect();
     let mut text = String::new();
@@ -298,10 +301,11 @@ fn write_layers(graph: &Graph, anchors: &[[f32; 2]], classes: usize) -> String {
             Layer::Upsample => "[upsample]\nstride=2\n".into(),
             Layer::MaxPool { stride } => format!("[maxpool]\nsize=2\nstride={stride}\n"),
             Layer::Head { mask } => format!(
-                "[yolo]\nmask={}\nanchors={}\nclasses={classes}\nnum={}\njitter=.3\nignore_thresh=.7\ntruth_thresh=1\nrandom=1\n",
+                "[yolo]\nmask={}\nanchors={}\nclasses={classes}\nnum={}\njitter=.3\nignore_thresh=.7\ntruth_thresh=1\nrandom=1\n{}",
                 list(mask),
                 pairs.join(", "),
-                anchors.len()
+                anchors.len(),
+                if *scale_xy == 1.0 { String::new() } else { format!("scale_x_y={scale_xy}\n") }
             ),
         };
         // Writing to a String cannot fail.
@@ -330,6 +334,7 @@ mod tests {
             section(Architecture::YoloV3),
             section(Architecture::YoloV3Tiny),
             ModelConfig { depth: 0.5, ..section(Architecture::YoloV3) },
+            ModelConfig { scale_xy: 1.5, ..section(Architecture::YoloV3) },
             ModelConfig { masks: vec![vec![3, 4, 5], vec![1, 2, 3]], ..section(Architecture::YoloV3Tiny) },
         ] {
             assert_eq!(parse("net.cfg", &write(&config).unwrap()).unwrap(), config);

@@ -53,7 +53,10 @@ def main():
             credits[photo] = f"{row.get('author') or 'not recorded'} ({row.get('source')}, {row.get('photo_id') or row.get('path_in_source')})"
     page += ["", "Photographs behind the markers (Unsplash and Pexels licences, and the licences of the wallpapers' packages):", ""]
     page += [f"- {credit}" for credit in sorted(set(credits.values()))]
-    (args.out / "README.md").write_text("\n".join(page) + "\n")
+    if args.only:
+        print("README.md is left as it is; without --only it is written with every sheet and credit")
+    else:
+        (args.out / "README.md").write_text("\n".join(page) + "\n")
 
 
 if __name__ == "__main__":

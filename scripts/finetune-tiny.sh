@@ -20,7 +20,9 @@ run() { # NAME [--set KEY=VALUE]...
     rm -rf "$out/$name"
     # `times` tells the children's user and system time; a shell of its own has one child only.
     sh -c '"$@" && times' - "$tcross" train "$config" --data "$out/data" --out "$out/$name" --quiet "$@" | tail -1 |
-        awk '{ for (k = 1; k <= 2; k++) { split($k, t, /[ms]/); s += 60 * t[1] + t[2] } print s }' >"$out/$name.cpu"
+        awk '{ for (k = 1; k <= 2; k++) { split($k, t, /[ms]/); s += 60 * t[1] + t[2] } } END { if (s == 0) exit 1; print s }' >"$out/$name.part"
+    # A training that failed has no times, and is not taken for done.
+    mv "$out/$name.part" "$out/$name.cpu"
 }
 run frozen --set train.freeze=backbone --set train.init="$weights"
 run scratch

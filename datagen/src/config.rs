@@ -247,7 +247,7 @@ pub struct HandConfig {
     pub corner_error: Dist,
     /// How far lines start and end from where they should, as a fraction of the side.
     pub end_error: Dist,
-    /// Width of the lines as a fraction of the side; replaces the width of the medium's nib where it is not 0.
+    /// Width of the lines as a fraction of the side.
     pub line_width: Dist,
     /// Share of fills that are hatched; others are flat.
     pub hatched: f64,
@@ -457,7 +457,7 @@ impl Config {
 
     fn validate_hand_drawn(&self) -> Result<(), DatagenError> {
         let (m, h, c) = (&self.markers, &self.hand, &self.camera);
-        within("markers.per_image", &m.per_image, 0.0, 50.0)?;
+        within("markers.per_image", &m.per_image, 0.0, 32.0)?;
         within("markers.side_px", &m.side_px, 2.0, 4.0 * f64::from(self.width.max(self.height)))?;
         within("markers.tilt_deg", &m.tilt_deg, 0.0, 85.0)?;
         within("markers.aspect", &m.aspect, 0.2, 5.0)?;
@@ -485,9 +485,18 @@ impl Config {
         within("camera.exposure_stops", &c.exposure_stops, -6.0, 6.0)?;
         within("camera.white_balance_stops", &c.white_balance_stops, -2.0, 2.0)?;
         within("camera.noise_percent", &c.noise_percent, 0.0, 50.0)?;
-        within("confusers.near_misses", &self.confusers.near_misses, 0.0, 50.0)?;
+        within("confusers.near_misses", &self.confusers.near_misses, 0.0, 31.0)?;
         within("confusers.stickers", &self.confusers.stickers, 0.0, 50.0)?;
         weights("confusers.shapes", &self.confusers.shapes)?;
+        let both = self.confusers.shapes.iter().find(|(shape, w)| **w > 0.0 && m.shapes.get(shape).is_some_and(|w| *w > 0.0));
+        let never = self.confusers.near_misses.bounds().1 < 1.0;
+        if let Some((shape, _)) = both.filter(|_| !never) {
+            return Err(DatagenError::config(
+                "confusers.shapes",
+                shape.name(),
+                "shapes that are no markers (markers.shapes has this one too)",
+            ));
+        }
         for (key, value) in [
             ("markers.cut", m.cut),
             ("markers.bent", m.bent),

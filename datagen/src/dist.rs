@@ -150,6 +150,10 @@ impl FromStr for Dist {
             )
         };
         let number = |word: &str| word.trim().parse::<f64>().ok().filter(|v| v.is_finite());
+        let weighted = text.split(',').filter(|part| part.contains('%')).count();
+        if weighted > 0 && weighted < text.split(',').count() {
+            return Err(format!("some parts of distribution \"{text}\" have a weight and some have none; give each one its '%', or none"));
+        }
         let mut parts = Vec::new();
         for part in text.split(',') {
             let (weight, rest) = match part.split_once('%') {
@@ -164,7 +168,8 @@ impl FromStr for Dist {
                     match word {
                         "log" if lo > 0.0 => Law::Log(lo, hi),
                         "log" => return Err(format!("a log range must be positive, found '{}' in \"{text}\"", part.trim())),
-                        "int" => Law::Int(lo as i64, hi as i64),
+                        "int" if lo.fract() == 0.0 && hi.fract() == 0.0 => Law::Int(lo as i64, hi as i64),
+                        "int" => return Err(format!("an int range has whole ends, found '{}' in \"{text}\"", part.trim())),
                         _ => Law::Uniform(lo, hi),
                     }
                 }

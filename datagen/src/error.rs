@@ -28,12 +28,10 @@ pub enum DatagenError {
         needed: usize,
     },
     /// What is already in the output folder was made from something else.
-    #[error("{dir}: holds a dataset made with another {what}; choose another folder or delete this one")]
+    #[error("{dir}: holds another dataset (other config, seed, backgrounds or part); choose another folder or delete this one")]
     Mismatch {
         /// The output folder.
         dir: PathBuf,
-        /// What differs: `config`, `seed` or `backgrounds`.
-        what: String,
     },
     /// A picture could not be encoded.
     #[error("{path}: {message}")]

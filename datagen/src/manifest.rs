@@ -27,6 +27,9 @@ pub struct Manifest {
     /// `[index, count]` where this is one of several shards.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shard: Option<[u64; 2]>,
+    /// The one image that this is of a dataset.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub only: Option<u64>,
     /// Digest of config, seed, backgrounds and generator: equal fingerprints make equal bytes.
     pub fingerprint: String,
     /// Images a split, written here.
@@ -68,9 +71,9 @@ impl BackgroundsEntry {
 }
 
 /// Version of the drawing code; moves with every change of a pixel.
-pub const DRAWING: u32 = 2;
+pub const DRAWING: u32 = 3;
 
-/// Equal where the bytes of the dataset are equal.
+/// Equal where the bytes of the dataset are equal (of the photos, names, sizes and first 64 KiB are looked at).
 #[must_use]
 pub fn fingerprint(config: &Config, seed: u64, backgrounds: &Backgrounds) -> String {
     let mut hasher = blake3::Hasher::new();

@@ -1,4 +1,5 @@
-//! A marker to print, or to trace with a pen: SVG, PDF and PNG of one sheet, with the instructions for drawing it by hand.
+//! A marker to print, or to trace with a pen: SVG and PDF of one sheet, the T cross with the instructions for drawing it by hand, and PNG of the
+//! marker alone.
 use crate::{
     color::{self, Linear},
     error::DatagenError,
@@ -29,6 +30,7 @@ impl Default for MarkerSheet {
     }
 }
 
+/// How to draw a T cross.
 const INSTRUCTIONS: [&str; 4] = [
     "Fill a rectangle with one saturated colour; a highlighter or a felt tip will do.",
     "With another colour draw one whole diagonal, corner to corner.",
@@ -41,6 +43,10 @@ const BORDER_MM: f64 = 10.0;
 const WORDS_MM: f64 = 28.0;
 
 impl MarkerSheet {
+    fn instructions(&self) -> &'static [&'static str] {
+        if self.shape == Shape::TCross { &INSTRUCTIONS } else { &[] }
+    }
+
     /// Checks the lengths.
     ///
     /// # Errors
@@ -99,7 +105,7 @@ impl MarkerSheet {
             let style = format!("stroke=\"{}\" stroke-width=\"{}\" clip-path=\"url(#marker)\"", hex(self.line), self.line_mm);
             let _ = writeln!(out, "<line x1=\"{x1}\" y1=\"{y1}\" x2=\"{x2}\" y2=\"{y2}\" {style} stroke-linecap=\"round\"/>");
         }
-        for (k, words) in INSTRUCTIONS.iter().enumerate() {
+        for (k, words) in self.instructions().iter().enumerate() {
             let y = self.side_mm + 2.0 * BORDER_MM + 5.0 * k as f64;
             let _ = writeln!(
                 out,
@@ -130,7 +136,7 @@ impl MarkerSheet {
         page += &format!("q {path} h W n\n{} RG {:.4} w 1 J\n", rgb(self.line), self.line_mm * POINTS);
         self.lines().iter().for_each(|[a, b]| page += &format!("{} m {} l S\n", at(*a), at(*b)));
         page += "Q\nBT /F1 6.2 Tf 0.27 g\n";
-        for (k, words) in INSTRUCTIONS.iter().enumerate() {
+        for (k, words) in self.instructions().iter().enumerate() {
             let y = h - (self.side_mm + 2.0 * BORDER_MM + 5.0 * k as f64) * POINTS;
             page += &format!("1 0 0 1 {:.4} {y:.4} Tm ({}. {words}) Tj\n", BORDER_MM * POINTS, k + 1);
         }

@@ -37,6 +37,7 @@ pub fn sample(config: &Config, backgrounds: &Backgrounds, seed: u64, index: u64)
         height: config.height,
         background: Some(backdrop.name.clone()),
         markers: Vec::new(),
+        confusers: Vec::new(),
         intrinsics: None,
         distortion: None,
         effects: backdrop.effects.clone(),

@@ -38,7 +38,7 @@ pub struct GenerateOptions {
     pub shard: Option<(u64, u64)>,
     /// Only image K.
     pub only: Option<u64>,
-    /// Keep what an interrupted run has finished.
+    /// Keep what an earlier run of the same options has finished; without it, that is made anew.
     pub resume: bool,
     /// Commit of the program, for `dataset.toml`.
     pub commit: Option<String>,
@@ -85,8 +85,8 @@ impl Finished {
 /// `progress` is told about every chunk; once `stop` is true, the current chunk is finished and [`DatagenError::Stopped`] returned.
 ///
 /// # Errors
-/// If the config is impossible, a photo folder has no usable photo, or the folder cannot be written; what was finished stays and
-/// `resume` goes on from there.
+/// If the config is impossible, a photo folder has no usable photo, the folder holds another dataset, or cannot be written; what was
+/// finished stays and `resume` goes on from there.
 pub fn generate(
     config: &Config,
     backgrounds: &Backgrounds,
@@ -103,8 +103,19 @@ pub fn generate(
         .build()
         .map_err(|e| DatagenError::io(&options.out, std::io::Error::other(e)))?;
     let fingerprint = fingerprint(&config, options.seed, backgrounds);
-    let parts = prepare(options, &fingerprint)?;
-    let (mut resumed, total) = (0, range.end - range.start);
+    let total = range.end - range.start;
+    let identity = identity(&fingerprint, options.shard.map(|(index, count)| [index, count]), options.only);
+    match found(&options.out, &identity)? {
+        Found::Whole(manifest) if options.resume => return Ok(Summary { manifest: *manifest, resumed: total }),
+        Found::Half if options.resume => {}
+        Found::Nothing => prepare(&options.out, &identity)?,
+        Found::Half | Found::Whole(_) => {
+            clear(&options.out)?;
+            prepare(&options.out, &identity)?;
+        }
+    }
+    let parts = options.out.join(PARTS);
+    let mut resumed = 0;
     pool.install(|| backgrounds.prepare(&config));
     for chunk in chunks(&range) {
         if stop.load(Ordering::Relaxed) {
@@ -146,33 +157,59 @@ fn part_path(parts: &Path, chunk: &Range<u64>) -> PathBuf {
     parts.join(format!("{:08}-{:08}.jsonl", chunk.start, chunk.end))
 }
 
-/// Makes the folders; refuses to go on with a dataset made from something else, and clears one that is to be made anew.
-fn prepare(options: &GenerateOptions, fingerprint: &str) -> Result<PathBuf, DatagenError> {
-    let (out, parts) = (&options.out, options.out.join(PARTS));
-    let mark = parts.join("fingerprint");
-    let ours =
-        mark.is_file() || fs::read_to_string(out.join("dataset.toml")).is_ok_and(|text| text.contains("generator = \"tcross datagen\""));
-    if options.resume && mark.is_file() {
-        if files::read_text(&mark)? != fingerprint {
-            return Err(DatagenError::Mismatch { dir: out.clone(), what: "config, seed or backgrounds".into() });
-        }
-    } else if ours {
-        for dir in Split::ALL.map(|s| out.join(s.name())).into_iter().chain([parts.clone()]) {
-            if dir.is_dir() {
-                fs::remove_dir_all(&dir).map_err(|e| DatagenError::io(&dir, e))?;
-            }
-        }
-        for file in Split::ALL.map(|s| format!("{s}.jsonl")).into_iter().chain(["dataset.toml".into()]).map(|name| out.join(name)) {
-            if file.is_file() {
-                fs::remove_file(&file).map_err(|e| DatagenError::io(&file, e))?;
-            }
+/// What is to be made: datasets and parts of them with equal identities have equal bytes.
+fn identity(fingerprint: &str, shard: Option<[u64; 2]>, only: Option<u64>) -> String {
+    let shard = shard.map_or(String::new(), |[index, count]| format!(" shard {index}/{count}"));
+    format!("{fingerprint}{shard}{}", only.map_or(String::new(), |k| format!(" only {k}")))
+}
+
+/// What stands in the output folder.
+enum Found {
+    Nothing,
+    /// Finished chunks of the same dataset.
+    Half,
+    /// The same dataset.
+    Whole(Box<Manifest>),
+}
+
+/// # Errors
+/// If another dataset stands there, finished or half.
+fn found(out: &Path, wanted: &str) -> Result<Found, DatagenError> {
+    let other = || DatagenError::Mismatch { dir: out.to_owned() };
+    let (whole, mark) = (out.join("dataset.toml"), out.join(PARTS).join("fingerprint"));
+    if whole.is_file() {
+        let manifest: Manifest = toml::from_str(&files::read_text(&whole)?).map_err(|_| other())?;
+        let same = identity(&manifest.fingerprint, manifest.shard, manifest.only) == wanted;
+        return if same { Ok(Found::Whole(Box::new(manifest))) } else { Err(other()) };
+    }
+    match mark.is_file() {
+        true if files::read_text(&mark)? == wanted => Ok(Found::Half),
+        true => Err(other()),
+        false => Ok(Found::Nothing),
+    }
+}
+
+fn folders(out: &Path) -> impl Iterator<Item = PathBuf> {
+    Split::ALL.map(|s| out.join(s.name())).into_iter().chain([out.join(PARTS)])
+}
+
+/// Removes what an earlier run wrote.
+fn clear(out: &Path) -> Result<(), DatagenError> {
+    for dir in folders(out).filter(|dir| dir.is_dir()) {
+        fs::remove_dir_all(&dir).map_err(|e| DatagenError::io(&dir, e))?;
+    }
+    for file in Split::ALL.map(|s| format!("{s}.jsonl")).into_iter().chain(["dataset.toml".into()]).map(|name| out.join(name)) {
+        if file.is_file() {
+            fs::remove_file(&file).map_err(|e| DatagenError::io(&file, e))?;
         }
     }
-    for dir in Split::ALL.map(|s| out.join(s.name())).into_iter().chain([parts.clone()]) {
-        files::create_dir(dir)?;
-    }
-    files::write_atomically(mark, fingerprint)?;
-    Ok(parts)
+    Ok(())
+}
+
+/// Makes the folders, marked with what is to stand in them.
+fn prepare(out: &Path, identity: &str) -> Result<(), DatagenError> {
+    folders(out).try_for_each(files::create_dir)?;
+    Ok(files::write_atomically(out.join(PARTS).join("fingerprint"), identity)?)
 }
 
 /// Makes one image and writes its picture.
@@ -211,6 +248,7 @@ fn finish(
         images: config.images,
         markers: 0,
         shard: options.shard.map(|(index, count)| [index, count]),
+        only: options.only,
         fingerprint,
         counts: Default::default(),
         digests: Default::default(),

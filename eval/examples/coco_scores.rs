@@ -10,10 +10,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         return Err("usage: coco_scores TRUTH.json RESULTS.json".into());
     };
     let start = Instant::now();
-    let (truth, results) = (read_instances(truth)?, read_results(&path)?);
+    // As pycocotools does, what the instances lack is left out.
+    let (truth, _) = read_instances(truth, true)?;
+    let (results, _) = read_results(path, &truth, true)?;
     let loaded = start.elapsed().as_secs_f64();
     let start = Instant::now();
-    let scores = score_instances(&truth, &results, path.as_ref())?;
+    let scores = score_instances(&truth, &results);
     let scored = start.elapsed().as_secs_f64();
     println!("{}", serde_json::json!({"scores": scores, "load_s": loaded, "score_s": scored}));
     Ok(())

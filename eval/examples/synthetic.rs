@@ -88,7 +88,17 @@ fn scene(k: u64) -> (Record, ImageDetections) {
     detections.sort_by(|a, b| b.score.total_cmp(&a.score));
     let background = Some(rng.choose(&["embedded/room", "embedded/leaves", "embedded/stripes"]).to_string());
     let effects = serde_json::Map::from_iter([("noise".to_owned(), serde_json::json!(rng.int(0, 4) as f64 * 5.0))]);
-    let record = Record { image: name.clone(), width, height, background, markers, intrinsics: None, distortion: None, effects };
+    let record = Record {
+        image: name.clone(),
+        width,
+        height,
+        background,
+        markers,
+        confusers: Vec::new(),
+        intrinsics: None,
+        distortion: None,
+        effects,
+    };
     (record, ImageDetections { image: name, width, height, detections, ms: None })
 }
 

@@ -1,14 +1,15 @@
 //! COCO's own files: instances (truth) and results (detections), in and out.
 use crate::{
     error::EvalError,
+    input::{Fault, Problem, ProblemCounts, ProblemKind, bad_score, counted, without_nan},
     matching::Rule,
     protocol::coco::{CocoCell, CocoClaim, CocoScores, CocoTruth, match_cell, score},
     truth::Truth,
 };
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use serde::{Deserialize, Deserializer, Serialize, de::DeserializeOwned};
 use std::{
-    collections::{BTreeSet, HashMap},
+    collections::{BTreeSet, HashMap, HashSet},
     path::Path,
 };
 use tcross_dataset::{Detection, files};
@@ -61,8 +62,10 @@ pub struct CocoAnnotation {
     /// The category's id.
     pub category_id: u64,
     /// Left, upper, width, height in pixels.
+    #[serde(deserialize_with = "numbers")]
     pub bbox: [f64; 4],
     /// In px squared.
+    #[serde(deserialize_with = "number")]
     pub area: f64,
     /// 1 for a region of many objects.
     #[serde(default)]
@@ -77,37 +80,108 @@ pub struct CocoResult {
     /// The category's id.
     pub category_id: u64,
     /// Left, upper, width, height in pixels.
+    #[serde(deserialize_with = "numbers")]
     pub bbox: [f64; 4],
     /// 0..1.
+    #[serde(deserialize_with = "number")]
     pub score: f64,
 }
 
-/// Reads a file of instances.
+/// Reads a file of instances. Faults are errors or, with `lenient`, left out and counted.
 ///
 /// # Errors
-/// If it cannot be read or does not hold the format's keys.
-pub fn read_instances(path: impl AsRef<Path>) -> Result<Instances, EvalError> {
-    read(path.as_ref())
+/// If it cannot be read or does not hold the format's keys; unless `lenient`, if two images or categories have one id, or an annotation is
+/// of none of them or has a reversed box.
+pub fn read_instances(path: impl AsRef<Path>, lenient: bool) -> Result<(Instances, ProblemCounts), EvalError> {
+    let path = path.as_ref();
+    let mut instances: Instances = read(path)?;
+    let mut problems = Vec::new();
+    let (mut images, mut categories) = (HashSet::new(), HashSet::new());
+    let twice = |id: u64, seen: &mut HashSet<u64>| {
+        (!seen.insert(id)).then(|| (ProblemKind::DuplicateId, format!("id {id}, which an earlier one has already")))
+    };
+    sift(&mut instances.images, "image", path, &mut problems, |image| twice(image.id, &mut images));
+    sift(&mut instances.categories, "category", path, &mut problems, |category| twice(category.id, &mut categories));
+    sift(&mut instances.annotations, "annotation", path, &mut problems, |a| {
+        unknown(&images, &categories, a.image_id, a.category_id).or_else(|| bad_box(&a.bbox)).or_else(|| bad_area(a.area))
+    });
+    let counts = counted(&problems, lenient)?;
+    Ok((instances, counts))
 }
 
-/// Reads a file of results.
+/// Reads a file of results for these instances. Faults are errors or, with `lenient`, left out and counted.
 ///
 /// # Errors
-/// If it cannot be read or does not hold the format's keys.
-pub fn read_results(path: impl AsRef<Path>) -> Result<Vec<CocoResult>, EvalError> {
-    read(path.as_ref())
+/// If it cannot be read or does not hold the format's keys; unless `lenient`, if a result is of an image or a category that the instances
+/// lack, or has a reversed box or a score that is not in 0..1.
+pub fn read_results(path: impl AsRef<Path>, instances: &Instances, lenient: bool) -> Result<(Vec<CocoResult>, ProblemCounts), EvalError> {
+    let path = path.as_ref();
+    let mut results: Vec<CocoResult> = read(path)?;
+    let images: HashSet<u64> = instances.images.iter().map(|i| i.id).collect();
+    let categories: HashSet<u64> = instances.categories.iter().map(|c| c.id).collect();
+    let mut problems = Vec::new();
+    sift(&mut results, "result", path, &mut problems, |r| {
+        unknown(&images, &categories, r.image_id, r.category_id).or_else(|| bad_box(&r.bbox)).or_else(|| bad_score(r.score))
+    });
+    let counts = counted(&problems, lenient)?;
+    Ok((results, counts))
 }
 
 fn read<T: DeserializeOwned>(path: &Path) -> Result<T, EvalError> {
     let text = files::read_text(path)?;
-    serde_json::from_str(&text).map_err(|e| EvalError::Coco { path: path.to_owned(), message: e.to_string() })
+    let parsed = serde_json::from_str(&text).or_else(|e| without_nan(&text).map_or(Err(e), |text| serde_json::from_str(&text)));
+    parsed.map_err(|e| EvalError::Coco { path: path.to_owned(), message: e.to_string() })
 }
 
-/// Scores results, read from `path`, against instances. Results for a category that the instances lack are left out, as pycocotools does.
-///
-/// # Errors
-/// If a result names an image that the instances lack.
-pub fn score_instances(instances: &Instances, results: &[CocoResult], path: &Path) -> Result<CocoScores, EvalError> {
+/// `null`, which stands for what JSON has no number for, as NaN.
+fn number<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+    Ok(Option::deserialize(from)?.unwrap_or(f64::NAN))
+}
+
+fn numbers<'de, D: Deserializer<'de>>(from: D) -> Result<[f64; 4], D::Error> {
+    Ok(<[Option<f64>; 4]>::deserialize(from)?.map(|v| v.unwrap_or(f64::NAN)))
+}
+
+/// Takes out of a file's list what has a fault, and notes it with its place in the list, from 0.
+fn sift<T>(list: &mut Vec<T>, what: &str, path: &Path, problems: &mut Vec<Problem>, mut fault: impl FnMut(&T) -> Option<Fault>) {
+    let mut index = 0;
+    list.retain(|item| {
+        let found = fault(item);
+        let keep = found.is_none();
+        problems.extend(found.map(|(kind, message)| Problem {
+            kind,
+            path: path.to_owned(),
+            line: 0,
+            message: format!("{what} {index}: {message}"),
+        }));
+        index += 1;
+        keep
+    });
+}
+
+fn unknown(images: &HashSet<u64>, categories: &HashSet<u64>, image: u64, category: u64) -> Option<Fault> {
+    let lacks = |kind, what: &str, id| Some((kind, format!("is of {what} {id}, which the instances lack")));
+    match (images.contains(&image), categories.contains(&category)) {
+        (false, _) => lacks(ProblemKind::UnknownImage, "image", image),
+        (_, false) => lacks(ProblemKind::UnknownCategory, "category", category),
+        _ => None,
+    }
+}
+
+/// A box may have no area, as pycocotools allows.
+fn bad_box(bbox: &[f64; 4]) -> Option<Fault> {
+    let good = bbox.iter().all(|v| v.is_finite()) && bbox[2] >= 0.0 && bbox[3] >= 0.0;
+    (!good).then(|| (ProblemKind::BadBox, format!("bbox {bbox:?}: allowed are finite numbers, width and height from 0")))
+}
+
+fn bad_area(area: f64) -> Option<Fault> {
+    let good = area >= 0.0 && area.is_finite();
+    (!good).then(|| (ProblemKind::BadBox, format!("area {area}: allowed is a finite number from 0")))
+}
+
+/// Scores results against instances; what the instances lack is passed over.
+#[must_use]
+pub fn score_instances(instances: &Instances, results: &[CocoResult]) -> CocoScores {
     let sorted = |ids: BTreeSet<u64>| -> HashMap<u64, usize> { ids.into_iter().enumerate().map(|(k, id)| (id, k)).collect() };
     let images = sorted(instances.images.iter().map(|i| i.id).collect());
     let categories = sorted(instances.categories.iter().map(|c| c.id).collect());
@@ -120,12 +194,8 @@ pub fn score_instances(instances: &Instances, results: &[CocoResult], path: &Pat
     }
     let mut claims: Vec<(u32, u32, u32)> = Vec::with_capacity(results.len());
     for (k, r) in results.iter().enumerate() {
-        let Some(image) = images.get(&r.image_id) else {
-            let message = format!("result {k} is for image {}, which the instances lack", r.image_id);
-            return Err(EvalError::Coco { path: path.to_owned(), message });
-        };
-        if let Some(c) = categories.get(&r.category_id) {
-            claims.push((*c as u32, *image as u32, k as u32));
+        if let (Some(c), Some(i)) = (categories.get(&r.category_id), images.get(&r.image_id)) {
+            claims.push((*c as u32, *i as u32, k as u32));
         }
     }
     truths.par_sort_unstable();
@@ -149,7 +219,7 @@ pub fn score_instances(instances: &Instances, results: &[CocoResult], path: &Pat
         cells
     };
     let cells: Vec<Vec<CocoCell>> = (0..categories.len() as u32).into_par_iter().map(category).collect();
-    Ok(score(&cells))
+    score(&cells)
 }
 
 /// The truth as instances: image ids are positions in the truth, from 1; so are category ids.
@@ -224,16 +294,65 @@ mod tests {
             let instances = instances(&truth, &rule);
             let claims: Vec<_> = found.iter().enumerate().flat_map(|(k, d)| results(&truth, &rule, k, &d.detections)).collect();
             let text = serde_json::to_string(&instances).unwrap();
-            let coco = score_instances(&serde_json::from_str(&text).unwrap(), &claims, Path::new("results.json")).unwrap();
+            let coco = score_instances(&serde_json::from_str(&text).unwrap(), &claims);
             assert!(coco.ap.unwrap() > 0.0);
             assert_eq!((coco.ap, coco.ap50), (native.ap, native.ap50));
         }
     }
 
+    const IMAGES: &str = r#"[{"id":1,"width":90,"height":90},{"id":2}]"#;
+    const CATEGORIES: &str = r#"[{"id":1,"name":"marker"}]"#;
+
+    /// A good entry, then one that each change of it makes bad.
+    fn file(dir: &Path, instances: bool, entry: &str, from: &str, to: &str) -> std::path::PathBuf {
+        let list = format!("[{entry},{}]", entry.replacen(from, to, 1));
+        let text = if instances { format!(r#"{{"images":{IMAGES},"categories":{CATEGORIES},"annotations":{list}}}"#) } else { list };
+        let path = dir.join("coco.json");
+        std::fs::write(&path, text).unwrap();
+        path
+    }
+
     #[test]
-    fn an_unknown_image_is_an_error() {
-        let result = CocoResult { image_id: 3, category_id: 1, bbox: [0.0; 4], score: 0.5 };
-        let message = score_instances(&Instances::default(), &[result], Path::new("results.json")).unwrap_err().to_string();
-        assert!(message.contains("image 3"), "{message}");
+    fn faults_are_errors_with_an_index_or_counted() {
+        let dir = tempfile::tempdir().unwrap();
+        let annotation = r#"{"image_id":1,"category_id":1,"bbox":[5,5,0,20],"area":0,"iscrowd":0}"#;
+        for (from, to, words, kind) in [
+            ("\"image_id\":1", "\"image_id\":3", "annotation 1: is of image 3", ProblemKind::UnknownImage),
+            ("\"category_id\":1", "\"category_id\":9", "annotation 1: is of category 9", ProblemKind::UnknownCategory),
+            ("0,20]", "0,-20]", "annotation 1: bbox [5.0, 5.0, 0.0, -20.0]", ProblemKind::BadBox),
+            ("\"area\":0", "\"area\":-1", "annotation 1: area -1", ProblemKind::BadBox),
+        ] {
+            let path = file(dir.path(), true, annotation, from, to);
+            let message = read_instances(&path, false).unwrap_err().to_string();
+            assert!(message.contains("coco.json: ") && message.contains(words), "{message}");
+            let (instances, counts) = read_instances(&path, true).unwrap();
+            assert_eq!((instances.annotations.len(), counts), (1, ProblemCounts::from([(kind, 1)])));
+        }
+        let path = file(dir.path(), true, annotation, "", "");
+        let good = read_instances(&path, false).unwrap().0;
+        assert_eq!(good.annotations.len(), 2);
+        let text = std::fs::read_to_string(&path).unwrap();
+        for (from, to, words) in [("{\"id\":2}", "{\"id\":1}", "image 1: id 1"), (CATEGORIES, r#"[{"id":1},{"id":1}]"#, "category 1: id 1")]
+        {
+            std::fs::write(&path, text.replacen(from, to, 1)).unwrap();
+            let message = read_instances(&path, false).unwrap_err().to_string();
+            assert!(message.contains(words), "{message}");
+            let (instances, counts) = read_instances(&path, true).unwrap();
+            assert_eq!((instances.annotations.len(), counts), (2, ProblemCounts::from([(ProblemKind::DuplicateId, 1)])));
+        }
+        let result = r#"{"image_id":1,"category_id":1,"bbox":[5,5,0,20],"score":0.5}"#;
+        for (from, to, words, kind) in [
+            ("\"image_id\":1", "\"image_id\":3", "result 1: is of image 3", ProblemKind::UnknownImage),
+            ("\"category_id\":1", "\"category_id\":9", "result 1: is of category 9", ProblemKind::UnknownCategory),
+            ("[5,5", "[5,NaN", "result 1: bbox [5.0, NaN", ProblemKind::BadBox),
+            ("0.5", "1.5", "result 1: score 1.5", ProblemKind::BadScore),
+            ("0.5", "-Infinity", "result 1: score NaN", ProblemKind::BadScore),
+        ] {
+            let path = file(dir.path(), false, result, from, to);
+            let message = read_results(&path, &good, false).unwrap_err().to_string();
+            assert!(message.contains(words), "{message}");
+            let (results, counts) = read_results(&path, &good, true).unwrap();
+            assert_eq!((results.len(), counts), (1, ProblemCounts::from([(kind, 1)])));
+        }
     }
 }

@@ -18,8 +18,16 @@ pub enum EvalError {
         /// What it may hold.
         allowed: &'static str,
     },
-    /// Truth or detections are not what they should be; the first problem and how many there are.
-    #[error("{first}{}; correct the file, or count such lines with --lenient", more(*.count))]
+    /// A truth is not what it should be; the first problem and how many there are.
+    #[error("{first}{}; correct the file", more(*.count))]
+    Truth {
+        /// The first of them, in order of the file.
+        first: Problem,
+        /// All of them.
+        count: usize,
+    },
+    /// Detections are not what they should be; the first problem and how many there are.
+    #[error("{first}{}; correct the file, or count such faults with --lenient", more(*.count))]
     Input {
         /// The first of them, in order of the files.
         first: Problem,

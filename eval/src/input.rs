@@ -17,6 +17,10 @@ use tcross_dataset::{DatasetError, Detection, ImageDetections, PixelBox};
 pub enum ProblemKind {
     /// Detections for an image that the truth lacks.
     UnknownImage,
+    /// A box of a category that a COCO file does not list.
+    UnknownCategory,
+    /// A second image or category of one id in a COCO file.
+    DuplicateId,
     /// An image of the truth without a line of detections.
     MissingImage,
     /// A score that is not a number from 0 to 1.
@@ -36,10 +40,12 @@ impl ProblemKind {
     #[must_use]
     pub fn words(self) -> &'static str {
         match self {
-            Self::UnknownImage => "lines for images that the truth lacks (not scored)",
+            Self::UnknownImage => "lines or boxes for images that the truth lacks (not scored)",
+            Self::UnknownCategory => "boxes of categories that the truth lacks (left out)",
+            Self::DuplicateId => "further images or categories of one id (the first counts)",
             Self::MissingImage => "images without a line of detections (scored as empty)",
             Self::BadScore => "detections whose score is not a number from 0 to 1 (left out)",
-            Self::BadBox => "detections whose box is reversed or not finite (left out)",
+            Self::BadBox => "boxes that are reversed or not finite (left out)",
             Self::DuplicateLine => "further lines for one image (the first is scored)",
             Self::OtherSize => "images of another size than the truth's (scored as they are)",
             Self::BadLine => "lines that are not JSON of the expected form (left out)",
@@ -51,6 +57,8 @@ impl ProblemKind {
     pub fn key(self) -> &'static str {
         match self {
             Self::UnknownImage => "unknown_image",
+            Self::UnknownCategory => "unknown_category",
+            Self::DuplicateId => "duplicate_id",
             Self::MissingImage => "missing_image",
             Self::BadScore => "bad_score",
             Self::BadBox => "bad_box",
@@ -170,15 +178,22 @@ pub fn read<T: Send>(
         DetectionSource::File(path) => read_file(path, truth, &mut sink, &score)?,
     }
     sink.note_missing(truth);
-    if let (Some(first), false) = (sink.problems.first(), lenient) {
-        return Err(EvalError::Input { first: first.clone(), count: sink.problems.len() });
-    }
-    let mut problems = ProblemCounts::new();
-    sink.problems.iter().for_each(|p| *problems.entry(p.kind).or_default() += 1);
+    let problems = counted(&sink.problems, lenient)?;
     Ok(Reading { images: sink.images, problems, located: Located { source, spans: sink.spans } })
 }
 
-type Fault = (ProblemKind, String);
+/// How often each kind was met or, unless `lenient`, the error that the first of them is.
+pub(crate) fn counted(problems: &[Problem], lenient: bool) -> Result<ProblemCounts, EvalError> {
+    if let (Some(first), false) = (problems.first(), lenient) {
+        return Err(EvalError::Input { first: first.clone(), count: problems.len() });
+    }
+    let mut counts = ProblemCounts::new();
+    problems.iter().for_each(|p| *counts.entry(p.kind).or_default() += 1);
+    Ok(counts)
+}
+
+/// What is wrong with one thing, and what was found.
+pub(crate) type Fault = (ProblemKind, String);
 
 /// A line after parsing: what can be scored, and what had to be left out.
 struct Parsed {
@@ -200,11 +215,17 @@ impl From<ImageDetections> for Parsed {
 }
 
 fn fault_of(d: &Detection) -> Option<Fault> {
-    if !(0.0..=1.0).contains(&d.score) {
-        return Some((ProblemKind::BadScore, format!("score {}: allowed is a number from 0 to 1", d.score)));
-    }
     let found = <[f64; 4]>::from(d.bounds);
-    (!d.bounds.is_valid()).then(|| (ProblemKind::BadBox, format!("box {found:?}: allowed is x_min <= x_max, y_min <= y_max, all finite")))
+    let bad_box = || {
+        (!d.bounds.is_valid())
+            .then(|| (ProblemKind::BadBox, format!("box {found:?}: allowed is x_min <= x_max, y_min <= y_max, all finite")))
+    };
+    bad_score(d.score).or_else(bad_box)
+}
+
+/// What is wrong with a score.
+pub(crate) fn bad_score(score: f64) -> Option<Fault> {
+    (!(0.0..=1.0).contains(&score)).then(|| (ProblemKind::BadScore, format!("score {score}: allowed is a number from 0 to 1")))
 }
 
 fn parse(bytes: &[u8]) -> Result<Parsed, Fault> {
@@ -215,6 +236,12 @@ fn parse(bytes: &[u8]) -> Result<Parsed, Fault> {
         Ok(row) => Ok(row.into()),
         Err(e) => parse_with_nan(bytes).ok_or_else(|| (ProblemKind::BadLine, e.to_string())),
     }
+}
+
+/// Text in which Python wrote `NaN` or `Infinity`, which JSON does not know, with `null` in their place; `None` where it has none.
+pub(crate) fn without_nan(text: &str) -> Option<String> {
+    let some = text.contains("NaN") || text.contains("Infinity");
+    some.then(|| text.replace("-Infinity", "null").replace("Infinity", "null").replace("NaN", "null"))
 }
 
 /// A line in which Python wrote `NaN` or `Infinity`, which JSON does not know.
@@ -233,12 +260,7 @@ fn parse_with_nan(bytes: &[u8]) -> Option<Parsed> {
         #[serde(rename = "box")]
         bounds: [Option<f64>; 4],
     }
-    let text = std::str::from_utf8(bytes).ok()?;
-    if !text.contains("NaN") && !text.contains("Infinity") {
-        return None;
-    }
-    let text = text.replace("-Infinity", "null").replace("Infinity", "null").replace("NaN", "null");
-    let loose: Loose = serde_json::from_str(&text).ok()?;
+    let loose: Loose = serde_json::from_str(&without_nan(std::str::from_utf8(bytes).ok()?)?).ok()?;
     let firm = |d: LooseDetection| Detection {
         score: d.score.unwrap_or(f64::NAN),
         class: d.class,

@@ -1,7 +1,7 @@
 //! `metrics.json`: every figure unrounded; what is undefined is absent.
 use crate::{
-    calibration::calibration, curves, evaluation::Evaluation, failures, interval::Interval, slices::slices, truth::Truth,
-    validate::best_f1, verdict::RowVerdict,
+    calibration::calibration, curves, evaluation::Evaluation, failures, input::ProblemCounts, interval::Interval, slices::slices,
+    truth::Truth, validate::best_f1, verdict::RowVerdict,
 };
 use serde_json::{Map, Value, json};
 
@@ -19,13 +19,18 @@ pub fn metrics(truth: &Truth, evaluation: &Evaluation, validation: Option<&Evalu
         out.insert("pose".into(), json!(pose.scores()));
     }
     if !evaluation.problems.is_empty() {
-        let counts: Map<String, Value> = evaluation.problems.iter().map(|(k, n)| (k.key().into(), json!(n))).collect();
-        out.insert("problems".into(), Value::Object(counts));
+        out.insert("problems".into(), problems(&evaluation.problems));
     }
     if let Some(ms) = &evaluation.ms {
         out.insert("ms".into(), json!(ms));
     }
     out
+}
+
+/// How often each kind of fault was met.
+#[must_use]
+pub fn problems(counts: &ProblemCounts) -> Value {
+    Value::Object(counts.iter().map(|(kind, n)| (kind.key().into(), json!(n))).collect())
 }
 
 fn paper(truth: &Truth, evaluation: &Evaluation, validation: Option<&Evaluation>) -> Value {

@@ -126,6 +126,7 @@ mod tests {
             height: 900,
             background: None,
             markers,
+            confusers: Vec::new(),
             intrinsics: None,
             distortion: None,
             effects: serde_json::Map::new(),

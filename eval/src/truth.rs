@@ -41,7 +41,7 @@ impl Truth {
     pub fn open(path: impl AsRef<Path>, split: Option<Split>) -> Result<Self, EvalError> {
         let path = path.as_ref();
         if path.is_file() {
-            let dir = path.parent().map(Path::to_owned).unwrap_or_default();
+            let dir = files::folder_of(path).to_owned();
             let boxes = if dir.join("dataset.toml").is_file() { Dataset::open(&dir)?.header.boxes } else { BoxConvention::default() };
             return Self::read(path, dir, boxes);
         }
@@ -85,7 +85,7 @@ impl Truth {
             records.push(record);
         }
         if let Some(first) = problems.first() {
-            return Err(EvalError::Input { first: first.clone(), count: problems.len() });
+            return Err(EvalError::Truth { first: first.clone(), count: problems.len() });
         }
         Ok(Self { path: path.to_owned(), ..Self::new(records, boxes, Some(dir)) })
     }
@@ -106,5 +106,21 @@ impl Truth {
     #[must_use]
     pub fn markers(&self) -> usize {
         self.records.iter().map(|r| r.markers.len()).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A lenient reading counts faults of the detections only: that is not advised where it does not help.
+    #[test]
+    fn faults_have_a_line_and_ask_for_correction() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let line = r#"{"image":"a.jpg","width":10,"height":10,"markers":[{"shape":"t_cross","box":[5,5,1,1]}]}"#;
+        std::fs::write(file.path(), format!("{line}\n{line}\n")).unwrap();
+        let message = Truth::open(file.path(), None).unwrap_err().to_string();
+        assert!(message.contains(":1: box [5.0, 5.0, 1.0, 1.0] of marker 0") && message.contains("and 2 more problems"), "{message}");
+        assert!(message.ends_with("; correct the file"), "{message}");
     }
 }

@@ -119,6 +119,7 @@ mod tests {
             height: 100,
             background: None,
             markers,
+            confusers: Vec::new(),
             intrinsics: None,
             distortion: None,
             effects: serde_json::Map::new(),

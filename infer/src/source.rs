@@ -1,8 +1,8 @@
 //! Where images come from: files, folders, a dataset's split. Unreadable ones are skipped with a warning and counted.
 use crate::error::InferError;
-use image::{DynamicImage, ImageDecoder, ImageReader, RgbImage};
+use image::RgbImage;
 use std::path::{Path, PathBuf};
-use tcross_dataset::{Dataset, Split};
+use tcross_dataset::{Dataset, Split, picture};
 
 /// Endings of the files that count as images in a folder.
 const ENDINGS: [&str; 4] = ["jpg", "jpeg", "png", "webp"];
@@ -80,14 +80,7 @@ fn folder(root: &Path, at: &Path, items: &mut Vec<Item>) -> Result<(), InferErro
 /// # Errors
 /// If it cannot be read or has no pixels.
 pub fn read_image(path: &Path) -> Result<RgbImage, InferError> {
-    let broken = |message: String| InferError::Picture { path: path.to_owned(), message };
-    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format).map_err(|e| InferError::io(path, e))?;
-    let mut decoder = reader.into_decoder().map_err(|e| broken(e.to_string()))?;
-    let orientation = decoder.orientation().map_err(|e| broken(e.to_string()))?;
-    let mut image = DynamicImage::from_decoder(decoder).map_err(|e| broken(e.to_string()))?;
-    image.apply_orientation(orientation);
-    let image = image.into_rgb8();
-    if image.width() == 0 || image.height() == 0 { Err(broken("no pixels".into())) } else { Ok(image) }
+    Ok(picture::read(path)?)
 }
 
 #[cfg(test)]

@@ -61,7 +61,8 @@ pub struct Config {
     pub multi_scale_steps: u64,
     /// Parts of the images in place of whole ones, for the first part of the training.
     pub windows: Windows,
-    /// Memory for decoded images in GB; what does not fit is decoded again each epoch.
+    /// Memory for decoded images in GB; what does not fit is decoded again each epoch. As much again may hold what a backbone that stands
+    /// still (`backbone-running`) says of images that are never changed, so that it is computed once.
     pub cache_gb: f64,
     /// Threads that make batches ahead of the steps.
     pub workers: usize,
@@ -105,11 +106,11 @@ pub struct Optimizer {
     pub kind: OptimizerKind,
     /// Highest learning rate.
     pub rate: f64,
-    /// Weight decay of convolution kernels; biases and batch norm have none. Decoupled for AdamW, added to the gradient for SGD.
+    /// Weight decay of convolution kernels; biases and batch norm have none. Decoupled for AdamW and Muon, added to the gradient for SGD.
     pub decay: f64,
-    /// SGD's momentum, Muon's for kernels; AdamW's first decay rate.
+    /// Momentum of SGD and of Muon's kernels; AdamW's first decay rate, also for what Muon leaves to it.
     pub momentum: f64,
-    /// AdamW's second decay rate.
+    /// AdamW's second decay rate, also for what Muon leaves to it.
     pub second_momentum: f64,
 }
 
@@ -213,7 +214,7 @@ pub enum ColorSpace {
     Hsv,
 }
 
-/// Windows: square parts of the images at their own scale, most of them around a marker. A window holds as much to learn from as the whole
+/// Windows: square parts of the images at their own scale, most of them around a marker or something that resembles one. A window holds as much to learn from as the whole
 /// image, at a fraction of its price; the rest of the training then shows the network whole images, with as much background as it will meet.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -222,7 +223,8 @@ pub struct Windows {
     pub until: f64,
     /// Side of a window in pixels of the model's input, a multiple of 32.
     pub side: usize,
-    /// Probability that a window is laid around a marker of its image, which is scaled down where it would not fit.
+    /// Probability that a window is laid around a marker of its image, or a near miss that its record lists, which is scaled down where it
+    /// would not fit.
     pub focus: f64,
 }
 
@@ -448,6 +450,14 @@ impl Schedule {
 }
 
 impl Augment {
+    /// Whether an image is always shown as it is, bit by bit.
+    #[must_use]
+    pub fn is_still(&self) -> bool {
+        let colors = self.color_probability * (self.gain + self.shift + self.saturation + self.hue_deg);
+        let places = self.flip + self.scale + self.translate + self.aspect + self.mosaic + self.mixup + self.expand + self.crop;
+        colors == 0.0 && places == 0.0 && self.sampling != Sampling::Random
+    }
+
     fn validate(&self) -> Result<(), TrainError> {
         let probabilities = [
             ("flip", self.flip),

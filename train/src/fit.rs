@@ -30,7 +30,7 @@ use std::{
 use tcross_dataset::{Dataset, Rng, Split, dataset::BoxConvention};
 use tcross_yolo::{LossTerms, ModelConfig, ModelSection, NetSize, Weights};
 
-/// How and where a training runs; nothing here changes what it learns.
+/// How and where a training runs. But for the seed, and the last bits on another device, nothing here changes what it learns.
 #[derive(Debug, Clone)]
 pub struct RunOptions<'a> {
     /// The run's folder.
@@ -143,7 +143,8 @@ impl<'a> Session<'a> {
         progress: &mut dyn FnMut(Progress),
     ) -> Result<Self, TrainError> {
         let budget = (config.cache_gb * 1e9) as usize;
-        let val = match dataset.splits().contains(&Split::Val) {
+        // A split without images, whose list is empty, is none.
+        let val = match std::fs::metadata(dataset.list_path(Split::Val)).is_ok_and(|list| list.len() > 0) {
             true => Some(Samples::open(dataset, Split::Val, model.input, &config.classes, budget / 5)?.thinned(config.validate.images)),
             false => None,
         };
@@ -155,7 +156,7 @@ impl<'a> Session<'a> {
         let marked: Vec<bool> = (0..train.count()).map(|k| !train.labels(k).is_empty()).collect();
         let order = Order::new(options.seed, &marked, config.empty_ratio);
         let memory = Estimate::of(config, &network, train.count() + val.as_ref().map_or(0, Samples::count))?;
-        memory.check()?;
+        memory.check(options.accelerator)?;
 
         let graph = network.graph()?;
         let identity = start::identity(config, &network, dataset, options.seed)?;
@@ -430,6 +431,7 @@ impl<'a> Session<'a> {
             boxes: self.boxes,
             model: &self.network,
             accelerator: self.options.accelerator,
+            path: self.trainer.path(),
             batch: self.config.batch,
             config: &self.config.validate,
             classes: &self.config.classes,

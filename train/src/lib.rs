@@ -25,6 +25,7 @@ pub mod device;
 mod divergence;
 pub mod ema;
 pub mod error;
+mod features;
 pub mod fit;
 pub mod memory;
 mod muon;

@@ -1,5 +1,5 @@
 //! How much memory a training will need, told before its first step.
-use crate::{config::Config, error::TrainError};
+use crate::{config::Config, device::Accelerator, error::TrainError};
 use tcross_yolo::{ModelConfig, NetSize, model};
 
 /// An estimate in bytes.
@@ -27,7 +27,8 @@ impl Estimate {
     /// If the layers do not fit together.
     pub fn of(config: &Config, network: &ModelConfig, images: usize) -> Result<Self, TrainError> {
         let area = |net: &NetSize| net.width * net.height;
-        let sizes = config.multi_scale.iter().map(|side| NetSize::square(*side)).chain([network.input]);
+        let windows = (config.windows.until > 0.0).then_some(config.windows.side);
+        let sizes = config.multi_scale.iter().copied().chain(windows).map(NetSize::square).chain([network.input]);
         let net = sizes.max_by_key(area).unwrap_or(network.input);
         let layers = model::info(&ModelConfig { input: net, ..network.clone() })?;
         let convolutions = layers.iter().filter(|layer| layer.parameters > 0);
@@ -49,12 +50,12 @@ impl Estimate {
         self.parameters + self.activations + self.batches + self.cache
     }
 
-    /// Compares with what the system has free.
+    /// Compares with what the system has free, where that is what the training takes: a graphics card has memory of its own.
     ///
     /// # Errors
     /// If the training cannot fit.
-    pub fn check(&self) -> Result<(), TrainError> {
-        match available_bytes() {
+    pub fn check(&self, accelerator: Accelerator) -> Result<(), TrainError> {
+        match available_bytes().filter(|_| accelerator == Accelerator::Cpu) {
             Some(available) if self.total() > available => {
                 Err(TrainError::Memory { needed: gigabytes(self.total()), available: gigabytes(available) })
             }
@@ -85,7 +86,8 @@ fn available_bytes() -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tcross_yolo::{Architecture, ModelConfig};
+    use crate::config::Windows;
+    use tcross_yolo::Architecture;
 
     #[test]
     fn grows_with_batch_and_input() {
@@ -95,9 +97,12 @@ mod tests {
         assert_eq!(estimate.cache, 1000 * 3 * 416 * 416);
         let double = Estimate::of(&Config { batch: 16, ..config.clone() }, &network, 1000).unwrap();
         assert_eq!(double.activations, 2 * estimate.activations);
-        let larger = Estimate::of(&Config { multi_scale: vec![832], ..config }, &network, 1000).unwrap();
-        assert_eq!(larger.activations, 4 * estimate.activations);
+        let windows = Windows { until: 0.5, side: 832, ..Windows::default() };
+        for larger in [Config { multi_scale: vec![832], ..config.clone() }, Config { windows, ..config }] {
+            assert_eq!(Estimate::of(&larger, &network, 1000).unwrap().activations, 4 * estimate.activations);
+        }
         let huge = Estimate { parameters: u64::MAX / 2, ..estimate };
-        assert!(available_bytes().is_none() || matches!(huge.check(), Err(TrainError::Memory { .. })));
+        assert!(available_bytes().is_none() || matches!(huge.check(Accelerator::Cpu), Err(TrainError::Memory { .. })));
+        assert!(huge.check(Accelerator::Cuda).is_ok());
     }
 }

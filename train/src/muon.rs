@@ -25,29 +25,40 @@ pub fn direction(gradient: &[f32], gain: f32, rows: usize, momentum: f32, slot: 
     step
 }
 
-/// A matrix of the same singular vectors whose singular values are all near 1; zeros stay zeros.
+/// A matrix of the same singular vectors whose singular values are all near 1; zeros stay zeros. The iteration X <- (a + b G + c G G) X, with
+/// G = X X', needs X at its end only: all between are products of the smaller square.
 fn orthogonal(matrix: &[f32], rows: usize, columns: usize) -> Vec<f32> {
     let norm = matrix.iter().map(|v| v * v).sum::<f32>().sqrt();
-    let mut x: Vec<f32> = matrix.iter().map(|v| v / (norm + 1e-12)).collect();
-    // The smaller square is cheaper: X X' for a flat matrix, X' X for a tall one.
-    let flat = rows <= columns;
-    let side = rows.min(columns);
+    let x: Vec<f32> = matrix.iter().map(|v| v / (norm + 1e-12)).collect();
+    let (flat, side) = (rows <= columns, rows.min(columns));
+    let view = Matrix::new(&x, rows, columns);
+    let mut gram = if flat { product(view, view.transposed()) } else { product(view.transposed(), view) };
     let [a, b, c] = QUINTIC;
-    let (mut square, mut next) = (vec![0.0; side * side], vec![0.0; x.len()]);
-    for _ in 0..STEPS {
-        let view = Matrix::new(&x, rows, columns);
-        let (left, right) = if flat { (view, view.transposed()) } else { (view.transposed(), view) };
-        multiply_add(&mut square, 0.0, 1.0, left, right);
-        let mut factor = square.clone();
-        let own = Matrix::new(&square, side, side);
-        multiply_add(&mut factor, b, c, own, own);
-        next.copy_from_slice(&x);
-        let factor = Matrix::new(&factor, side, side);
-        let (left, right) = if flat { (factor, view) } else { (view, factor) };
-        multiply_add(&mut next, a, 1.0, left, right);
-        std::mem::swap(&mut x, &mut next);
+    let mut total: Option<Vec<f32>> = None;
+    for step in 0..STEPS {
+        let g = Matrix::new(&gram, side, side);
+        let mut factor = gram.clone();
+        multiply_add(&mut factor, b, c, g, g);
+        factor.iter_mut().step_by(side + 1).for_each(|v| *v += a);
+        let f = Matrix::new(&factor, side, side);
+        if step + 1 < STEPS {
+            gram = product(Matrix::new(&product(f, g), side, side), f);
+        }
+        total = Some(match total {
+            None => factor,
+            Some(before) => product(f, Matrix::new(&before, side, side)),
+        });
     }
-    x
+    let total = total.unwrap_or_default();
+    let t = Matrix::new(&total, side, side);
+    if flat { product(t, view) } else { product(view, t) }
+}
+
+/// `a b`.
+fn product(a: Matrix, b: Matrix) -> Vec<f32> {
+    let mut out = vec![0.0; a.rows() * b.columns()];
+    multiply_add(&mut out, 0.0, 1.0, a, b);
+    out
 }
 
 #[cfg(test)]

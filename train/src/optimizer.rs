@@ -1,11 +1,12 @@
-//! SGD with momentum and AdamW over plain slices. [`Rule::update`] is the one place where a parameter changes.
+//! SGD with momentum, AdamW and Muon's strides over plain slices. Parameters change here only: in [`Rule::update`] and, Muon's kernels,
+//! in [`Rule::stride`].
 use crate::config::{self, ClipBy, OptimizerKind};
 use rayon::prelude::*;
 
-/// What the optimiser remembers of one parameter: momentum for SGD, both moments for AdamW. Empty until its first step.
+/// What the optimiser remembers of one parameter: momentum for SGD and Muon's kernels, both moments for AdamW. Empty until its first step.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Slot {
-    /// Running mean of the gradient.
+    /// Running mean (SGD, Muon: running sum) of the gradient.
     pub first: Vec<f32>,
     /// Running mean of its square (AdamW).
     pub second: Vec<f32>,
@@ -20,7 +21,7 @@ pub struct Rule {
     pub rate: f32,
     /// Weight decay of the parameters that have one.
     pub decay: f32,
-    /// Momentum, or AdamW's first decay rate.
+    /// Momentum of SGD and of Muon's kernels; AdamW's first decay rate, also for what Muon leaves to it.
     pub momentum: f32,
     /// AdamW's second decay rate.
     pub second_momentum: f32,
@@ -82,9 +83,7 @@ impl Rule {
             }
         }
     }
-}
 
-impl Rule {
     /// Whether kernels move along directions of their own, by [`Self::stride`], and only the rest by [`Self::update`].
     #[must_use]
     pub fn orthogonal(&self) -> bool {

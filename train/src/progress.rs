@@ -26,9 +26,9 @@ pub enum Progress<'a> {
     },
     /// A step is done.
     Step(StepReport),
-    /// Validation runs: `done` of `images`.
+    /// Validation starts.
     Validating {
-        /// Images.
+        /// Images that it looks at.
         images: usize,
     },
     /// A row of `metrics.csv` is complete; `best` if its weights are the best so far.

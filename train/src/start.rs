@@ -1,5 +1,9 @@
 //! What a training starts from: the network's complete description, its first weights, and the identity that a resume is held to.
-use crate::{config::Config, data::Samples, error::TrainError};
+use crate::{
+    config::{Config, Validate},
+    data::Samples,
+    error::TrainError,
+};
 use std::path::Path;
 use tcross_dataset::{Dataset, Split, files};
 use tcross_yolo::{
@@ -19,7 +23,8 @@ pub(crate) fn describe(
     train: &Samples,
     seed: u64,
 ) -> Result<(ModelConfig, Option<f64>), TrainError> {
-    if model.classes > 1 && config.classes.len() != model.classes {
+    // A network of one class takes every shape for it where none is named.
+    if config.classes.len() != model.classes && !(config.classes.is_empty() && model.classes == 1) {
         let found = format!("{} names", config.classes.len());
         return Err(TrainError::value("classes", found, format!("{} (model.classes), so that shapes can be numbered", model.classes)));
     }
@@ -64,8 +69,8 @@ pub(crate) fn weights(config: &Config, network: &ModelConfig, seed: u64) -> Resu
     Ok((weights, format!("{loaded} of {path}{rest}")))
 }
 
-/// Everything that a resumed training must share with the one that was stopped, a line each: all settings but the lengths and those that
-/// do not change what is learned, the network, the data's digests.
+/// Everything that a resumed training must share with the one that was stopped, a line each: all settings but the lengths, patience among
+/// them, and those that do not change what is learned, the network, the data's digests.
 pub(crate) fn identity(config: &Config, network: &ModelConfig, dataset: &Dataset, seed: u64) -> Result<String, TrainError> {
     let fixed = Config::default();
     let config = Config {
@@ -76,6 +81,7 @@ pub(crate) fn identity(config: &Config, network: &ModelConfig, dataset: &Dataset
         workers: fixed.workers,
         save_minutes: fixed.save_minutes,
         drawn_batches: fixed.drawn_batches,
+        validate: Validate { patience: fixed.validate.patience, ..config.validate.clone() },
         ..config.clone()
     };
     let text = |value: Result<String, toml::ser::Error>| value.map_err(|e| TrainError::state(&dataset.dir, e));

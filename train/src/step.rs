@@ -4,6 +4,7 @@ use crate::{
     data::Batch,
     device::Accelerator,
     error::TrainError,
+    features::FeatureCache,
     muon,
     optimizer::{Rule, Slot, clip_gains, squared_norm},
 };
@@ -25,6 +26,7 @@ pub struct Trainer {
     optimizer: config::Optimizer,
     clip: f64,
     clip_by: ClipBy,
+    features: Option<FeatureCache>,
     /// One a float of the network, in the order in which it is walked; those that do not learn stay empty.
     slots: Vec<Slot>,
 }
@@ -54,6 +56,7 @@ impl Trainer {
             optimizer: config.optimizer.clone(),
             clip: config.clip,
             clip_by: config.clip_by,
+            features: FeatureCache::of(config),
             slots: Vec::new(),
         };
         let network = Yolo::new(model, weights, &trainer.device)?.with_momentum(1.0 - config.batch_norm_decay);
@@ -76,7 +79,10 @@ impl Trainer {
         let net = batch.request.input.net;
         let shape = [batch.truths.len(), 3, net.height, net.width];
         let images = Tensor::from_data(TensorData::new(batch.images, shape), &self.device);
-        let heads = network.forward(images);
+        let heads = match &mut self.features {
+            Some(cache) => network.heads(cache.of_batch(&network, &batch.sources, images)),
+            None => network.forward(images),
+        };
         let logits: Vec<Vec<f32>> = heads.iter().map(read_logits).collect();
         let output = match self.loss.evaluate(&self.model.geometry(net), &logits, &batch.truths) {
             Ok(output) => output,
@@ -108,6 +114,12 @@ impl Trainer {
             self.network = Some(network);
         }
         Ok(StepOutput { terms: output.terms, gradient_norm })
+    }
+
+    /// Which kernels run.
+    #[must_use]
+    pub fn path(&self) -> Path {
+        self.path
     }
 
     /// Reads the parameters back.

@@ -35,6 +35,7 @@ fn record(dir: &Path, split: Split, index: usize, side: u32) -> Result<Record, D
         height: side,
         background: None,
         markers: vec![Marker { corners: Some(Quad(corners)), center: Some(bounds.center()), ..Marker::from_box("t_cross", bounds) }],
+        confusers: Vec::new(),
         intrinsics: None,
         distortion: None,
         effects: serde_json::Map::new(),

@@ -13,6 +13,7 @@ use rayon::prelude::*;
 use std::time::{Duration, Instant};
 use tcross_dataset::{ImageDetections, PixelBox, dataset::BoxConvention, geom::boxes::iou};
 use tcross_eval::ValidationScores;
+use tcross_kernels::ops::Path;
 use tcross_yolo::{DetectOptions, ModelConfig, Weights, Yolo, detect, network::read_logits};
 
 /// What a validation looks at.
@@ -25,6 +26,8 @@ pub struct Validator<'a> {
     pub model: &'a ModelConfig,
     /// Where it runs.
     pub accelerator: Accelerator,
+    /// Which kernels run.
+    pub path: Path,
     /// Images in a forward pass.
     pub batch: usize,
     /// Settings.
@@ -41,7 +44,7 @@ impl Validator<'_> {
     pub fn detections(&self, weights: &Weights) -> Result<(Vec<ImageDetections>, Duration), TrainError> {
         let mut spent = Duration::ZERO;
         let device = self.accelerator.device();
-        let network = Yolo::new(self.model, weights, &device)?;
+        let network = Yolo::new(self.model, weights, &device)?.with_path(self.path);
         let net = self.model.input;
         let geometry = self.model.geometry(net);
         let length = 3 * net.width * net.height;
@@ -114,5 +117,41 @@ pub fn metric(scores: &ValidationScores, metric: Metric) -> Option<f64> {
         Metric::Recall => scores.recall,
         Metric::F1 => scores.f1,
         Metric::BestF1 => scores.best_f1.map(|(_, f1)| f1),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::toy;
+    use tcross_dataset::{Dataset, Split};
+    use tcross_yolo::{Architecture, NetSize};
+
+    /// burn's own operations, where they are asked for, give the same boxes but for the last bits.
+    #[test]
+    fn the_chosen_kernels_run() {
+        let dir = tempfile::tempdir().unwrap();
+        toy::write(dir.path(), 1, 2, 64).unwrap();
+        let dataset = Dataset::open(dir.path()).unwrap();
+        let model = ModelConfig { width: 0.0625, input: NetSize::square(64), ..ModelConfig::of(Architecture::YoloV3Tiny) };
+        let samples = Samples::open(&dataset, Split::Val, model.input, &[], 0).unwrap();
+        let init = tcross_yolo::weights::Init { objectness_bias: 0.0, ..Default::default() };
+        let weights = Weights::init(&model.graph().unwrap(), &model.fields(), &init, 3);
+        let [fused, composite] = [Path::Fused, Path::Composite].map(|path| {
+            let validator = Validator {
+                samples: &samples,
+                boxes: BoxConvention::Continuous,
+                model: &model,
+                accelerator: Accelerator::Cpu,
+                path,
+                batch: 2,
+                config: &Validate::default(),
+                classes: &[],
+            };
+            let (found, _) = validator.detections(&weights).unwrap();
+            found.iter().flat_map(|image| &image.detections).map(|d| d.score).collect::<Vec<f64>>()
+        });
+        assert!(!fused.is_empty() && fused != composite);
+        assert!(fused.iter().zip(&composite).all(|(a, b)| (a - b).abs() < 1e-4), "{fused:?} {composite:?}");
     }
 }

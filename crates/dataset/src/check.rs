@@ -1,6 +1,6 @@
 //! Looks for everything that can be wrong with a dataset, and reports all of it, not the first.
 use crate::{
-    Dataset, DatasetError, Marker, Record, Split, files,
+    Dataset, DatasetError, Marker, Record, Split, files, picture,
     similar::{self, Look},
 };
 use rayon::prelude::*;
@@ -135,19 +135,22 @@ fn look(dataset: &Dataset, record: &Record) -> (Option<(String, Look)>, Vec<Prob
     let mut problems = Vec::new();
     let mut say = |fault, found: String| problems.push(Problem { fault, place: record.image.clone(), found });
     let path = dataset.image_path(record);
-    let picture =
-        match std::fs::read(&path).map_err(image::ImageError::IoError).and_then(|bytes| Ok((image::load_from_memory(&bytes)?, bytes))) {
-            Ok((image, bytes)) => {
-                if (image.width(), image.height()) != (record.width, record.height) {
-                    say(Fault::Size, format!("{}x{}, the record says {}x{}", image.width(), image.height(), record.width, record.height));
-                }
-                Some((files::digest_bytes(bytes), Look::of(&image.into_rgb8())))
+    let picture = match std::fs::read(&path).map_err(|e| DatasetError::io(&path, e)).and_then(|bytes| Ok((picture::read(&path)?, bytes))) {
+        Ok((image, bytes)) => {
+            if (image.width(), image.height()) != (record.width, record.height) {
+                say(Fault::Size, format!("{}x{}, the record says {}x{}", image.width(), image.height(), record.width, record.height));
             }
-            Err(e) => {
-                say(Fault::Unreadable, e.to_string());
-                None
-            }
-        };
+            Some((files::digest_bytes(bytes), Look::of(&image)))
+        }
+        Err(e) => {
+            let found = match e {
+                DatasetError::Image { message, .. } => message,
+                other => other.to_string(),
+            };
+            say(Fault::Unreadable, found);
+            None
+        }
+    };
     for (k, marker) in record.markers.iter().enumerate() {
         for (fault, found) in marker_faults(dataset, record, marker) {
             say(fault, format!("marker {k}: {found}"));
@@ -185,8 +188,9 @@ fn marker_faults(dataset: &Dataset, record: &Record, marker: &Marker) -> Vec<(Fa
                 faults.push((Fault::Geometry, format!("the homography misses a corner by {worst:.2} px")));
             }
         }
-        if let (Some(angle), Some(center)) = (marker.angle, marker.center) {
-            let stem = corners.0[0];
+        // Other shapes' angles point elsewhere: a triangle's to the middle of its upper side.
+        if let (Some(angle), Some(center), Some(stem)) = (marker.angle, marker.center, marker.stem.and_then(|k| corners.0.get(k as usize)))
+        {
             let off = (crate::geom::quad::angle_deg(stem[0] - center[0], stem[1] - center[1]) - angle + 180.0).rem_euclid(360.0) - 180.0;
             if off.abs() > 10.0 {
                 faults.push((Fault::Geometry, format!("the angle is {off:.1} degrees off the stem's corner")));

@@ -133,6 +133,7 @@ mod tests {
             height: 416,
             background: None,
             markers: vec![Marker::from_box("t_cross", [1.0, 2.0, 3.0, 4.0].into())],
+            confusers: Vec::new(),
             intrinsics: None,
             distortion: None,
             effects: serde_json::Map::new(),

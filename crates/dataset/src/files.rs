@@ -28,6 +28,12 @@ pub fn read_text(path: impl AsRef<Path>) -> Result<String, DatasetError> {
     fs::read_to_string(path.as_ref()).map_err(|e| DatasetError::io(path, e))
 }
 
+/// The folder that holds a file: `.` for a bare name.
+#[must_use]
+pub fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
 /// Creates a folder and those above it.
 ///
 /// # Errors

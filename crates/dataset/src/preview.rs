@@ -1,5 +1,5 @@
 //! A contact sheet: many pictures on one, with the truth drawn on them.
-use crate::{Dataset, DatasetError, Record, Split, draw};
+use crate::{Dataset, DatasetError, Record, Split, draw, picture};
 use image::{Rgb, RgbImage, imageops};
 use rayon::prelude::*;
 
@@ -48,8 +48,7 @@ pub fn contact_sheet(dataset: &Dataset, split: Split, sheet: &Sheet) -> Result<R
 
 fn tile(dataset: &Dataset, record: &Record, sheet: &Sheet) -> Result<RgbImage, DatasetError> {
     let path = dataset.image_path(record);
-    let unreadable = |e: &dyn ToString| DatasetError::Image { path: path.clone(), message: e.to_string() };
-    let image = image::open(&path).map_err(|e| unreadable(&e))?.into_rgb8();
+    let image = picture::read(&path)?;
     let scale = f64::from(sheet.tile_px) / f64::from(image.width().max(image.height()).max(1));
     let side = |v: u32| ((f64::from(v) * scale).round() as u32).clamp(1, sheet.tile_px);
     let mut small = imageops::resize(&image, side(image.width()), side(image.height()), imageops::FilterType::Triangle);

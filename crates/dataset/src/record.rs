@@ -16,6 +16,9 @@ pub struct Record {
     pub background: Option<String>,
     /// Every marker of the image; may be empty.
     pub markers: Vec<Marker>,
+    /// What was drawn to be taken for one, and is none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub confusers: Vec<Confuser>,
     /// Camera: `[fx, fy, cx, cy]` in pixels.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub intrinsics: Option<[f64; 4]>,
@@ -33,6 +36,16 @@ impl Record {
     pub fn photo(&self) -> Option<&str> {
         self.background.as_deref().filter(|b| !b.starts_with("embedded/"))
     }
+}
+
+/// Something that resembles a marker: training shows it as often as markers, evaluation counts what is found there as false.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Confuser {
+    /// The shape's name, such as `cross_in_rectangle`.
+    pub shape: String,
+    /// Extent of what is drawn and visible, counted as a marker's.
+    #[serde(rename = "box")]
+    pub bounds: PixelBox,
 }
 
 /// One marker's truth. `corners` run clockwise as seen and start at the stem's corner.

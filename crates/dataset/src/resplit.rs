@@ -5,15 +5,19 @@ use crate::{
 };
 use std::collections::BTreeMap;
 
-/// Deals images by `parts` (train : val : test, not all zero), in an order drawn from `seed`. Images that share a photo stay
-/// together, so no photo is in two splits; the parts are therefore met only as closely as the photos allow. Names stay as
+/// Deals images by `parts` (train : val : test, not all zero), in an order drawn from `seed`. Images that share a photo, or are frames of
+/// one video, stay together, so neither is in two splits; the parts are therefore met only as closely as the photos allow. Names stay as
 /// they were; one that would occur twice gets its old split's name in front.
 #[must_use]
 pub fn resplit(set: &Labelled, parts: [u32; 3], seed: u64) -> Labelled {
     let mut groups: BTreeMap<String, Vec<(Split, &Item)>> = BTreeMap::new();
     for (split, item) in set.items() {
-        let photo = item.record.photo();
-        let key = photo.map_or_else(|| format!("image {split} {}", item.record.image), |p| format!("photo {p}"));
+        let video = item.record.effects.get("video").and_then(|v| v.get("sequence"));
+        let key = match (item.record.photo(), video) {
+            (Some(photo), _) => format!("photo {photo}"),
+            (None, Some(sequence)) => format!("video {sequence}"),
+            (None, None) => format!("image {split} {}", item.record.image),
+        };
         groups.entry(key).or_default().push((split, item));
     }
     let mut groups: Vec<_> = groups.into_values().collect();
@@ -61,6 +65,25 @@ mod tests {
         }
         assert_eq!(dealt, resplit(&set, [7, 2, 1], 3));
         assert_ne!(dealt, resplit(&set, [7, 2, 1], 4));
+    }
+
+    #[test]
+    fn frames_of_a_video_stay_together() {
+        let dir = tempfile::tempdir().unwrap();
+        let set = formats::tests::random_set(dir.path(), 1, BoxConvention::Continuous);
+        let template = Record { background: Some("embedded/room".into()), ..set.splits[&Split::Train][0].record.clone() };
+        let rows = (0..60).map(|k| {
+            let mut record = Record { image: format!("train/{k:05}.jpg"), ..template.clone() };
+            record.effects.insert("video".into(), serde_json::json!({ "sequence": k / 6 }));
+            record
+        });
+        let set = Labelled::in_folder(dir.path(), set.boxes, [(Split::Train, rows.collect())].into());
+        let mut home: BTreeMap<u64, Split> = BTreeMap::new();
+        for (split, record) in resplit(&set, [1, 1, 0], 3).records() {
+            let sequence = record.effects["video"]["sequence"].as_u64().unwrap();
+            assert_eq!(*home.entry(sequence).or_insert(split), split);
+        }
+        assert!(home.values().any(|s| *s != home[&0]));
     }
 
     #[test]

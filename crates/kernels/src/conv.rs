@@ -3,9 +3,11 @@
 use crate::{
     ConvShape,
     gather::{Activation, Finish, Gather, Group},
+    matrix::{Matrix, multiply_add},
     pack::{self, Panels},
     simd::Isa,
 };
+use rayon::prelude::*;
 
 fn run(
     shape: &ConvShape,
@@ -64,6 +66,33 @@ pub struct Epilogue<'a> {
 pub fn forward_activated(shape: &ConvShape, x: &[f32], weights: &Panels, epilogue: Epilogue, out: &mut [f32]) {
     let Epilogue { bias, slope, residual } = epilogue;
     run(shape, x, weights, None, Finish::Activate { bias, slope, residual }, out);
+}
+
+/// As [`forward_activated`] for any kernel and stride, as one product with a matrix of all windows: slower, and memory for that matrix.
+/// `weight` is `[out, in, kernel, kernel]`.
+pub fn forward_plain(shape: &ConvShape, x: &[f32], weight: &[f32], epilogue: Epilogue, out: &mut [f32]) {
+    let (window, pad) = (shape.in_channels * shape.kernel * shape.kernel, shape.padding());
+    let mut windows = vec![0.0; shape.out_pixels() * window];
+    windows.par_chunks_mut(window).enumerate().for_each(|(pixel, window)| {
+        let (row, column) = (pixel / shape.out_width() % shape.out_height(), pixel % shape.out_width());
+        let first = pixel / (shape.out_height() * shape.out_width()) * shape.height;
+        for (tap, (dy, dx)) in (0..shape.kernel).flat_map(|dy| (0..shape.kernel).map(move |dx| (dy, dx))).enumerate() {
+            let (y, x_at) = (row * shape.stride + dy, column * shape.stride + dx);
+            if (pad..shape.height + pad).contains(&y) && (pad..shape.width + pad).contains(&x_at) {
+                let from = ((first + y - pad) * shape.width + x_at - pad) * shape.in_channels;
+                for (c, value) in x[from..from + shape.in_channels].iter().enumerate() {
+                    window[c * shape.kernel * shape.kernel + tap] = *value;
+                }
+            }
+        }
+    });
+    let rows = Matrix::new(weight, shape.out_channels, window).transposed();
+    multiply_add(out, 0.0, 1.0, Matrix::new(&windows, shape.out_pixels(), window), rows);
+    let Epilogue { bias, slope, residual } = epilogue;
+    for (at, value) in out.iter_mut().enumerate() {
+        let z = *value + bias[at % shape.out_channels];
+        *value = z.max(slope * z) + residual.map_or(0.0, |r| r[at]);
+    }
 }
 
 /// The gradient of the convolution's input from that of its output, `weight` as `[out, in, kernel, kernel]`; written to `dx`, or added

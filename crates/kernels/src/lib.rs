@@ -19,5 +19,5 @@ pub mod weight_gradient;
 mod winograd;
 
 pub use gather::Activation;
-pub use shape::ConvShape;
+pub use shape::{ConvShape, covers};
 pub use simd::Isa;

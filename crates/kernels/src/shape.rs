@@ -13,10 +13,17 @@ pub struct ConvShape {
     pub in_channels: usize,
     /// Output channels.
     pub out_channels: usize,
-    /// 1 or 3.
+    /// Side of the kernel; 1 or 3 on the fast path.
     pub kernel: usize,
     /// 1 or 2.
     pub stride: usize,
+}
+
+/// Whether there are fast kernels for convolutions of this side and stride. Every other one takes burn's operations in training, and
+/// [`crate::conv::forward_plain`] in inference.
+#[must_use]
+pub fn covers(kernel: usize, stride: usize) -> bool {
+    matches!((kernel, stride), (1, 1) | (3, 1) | (3, 2))
 }
 
 impl ConvShape {
@@ -68,15 +75,13 @@ impl ConvShape {
         2.0 * self.out_pixels() as f64 * self.weight_len() as f64
     }
 
-    /// Panics unless the kernels can run it; the burn operations check before they choose the fast path.
+    /// Panics unless the fast kernels cover it: callers choose by [`covers`].
     pub(crate) fn check(&self) {
         assert!(self.is_supported(), "unsupported convolution {self:?}");
     }
 
-    /// Whether the fast kernels cover this shape; every other one takes the composite.
-    #[must_use]
-    pub fn is_supported(&self) -> bool {
-        let kernel = matches!((self.kernel, self.stride), (1, 1) | (3, 1) | (3, 2));
-        kernel && [self.batch, self.height, self.width, self.in_channels, self.out_channels].iter().all(|&n| n > 0)
+    fn is_supported(&self) -> bool {
+        covers(self.kernel, self.stride)
+            && [self.batch, self.height, self.width, self.in_channels, self.out_channels].iter().all(|&n| n > 0)
     }
 }

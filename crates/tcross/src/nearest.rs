@@ -1,5 +1,6 @@
 //! "Did you mean": the nearest known name for a word nobody knows.
 use std::path::Path;
+use tcross_dataset::files;
 
 /// The candidate most like `word`, if any is like it enough to be a slip of the fingers.
 pub fn name<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
@@ -15,10 +16,7 @@ pub fn hint<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> St
 
 /// `; did you mean 'dir/other'?` for a path that does not exist, from what lies beside it.
 pub fn path_hint(path: &Path) -> String {
-    let folder = match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
+    let folder = files::folder_of(path);
     let Ok(entries) = std::fs::read_dir(folder) else {
         return format!("; the folder {} does not exist either", folder.display());
     };

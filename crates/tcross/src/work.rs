@@ -6,7 +6,7 @@ use crate::{
     exit::{Failure, Outcome},
     nearest, stop,
 };
-use std::{path::Path, sync::atomic::Ordering};
+use std::{collections::BTreeSet, path::Path, sync::atomic::Ordering};
 use tcross_datagen::{Backgrounds, DatagenError, GenerateOptions};
 use tcross_dataset::{Dataset, Split};
 use tcross_infer::{Boxes, RunReport, Source};
@@ -15,7 +15,10 @@ use tcross_train::{End, RunSummary};
 /// The commit this program was built from.
 pub const COMMIT: &str = env!("TCROSS_COMMIT");
 
-/// The photos, or the embedded scenes, that a config names; unusable photos are warned of.
+/// The tables of a report that are printed.
+pub const SHORT_TABLES: [&str; 5] = ["headline", "min-side", "sweeps", "coco", "pose"];
+
+/// The photos, or the embedded scenes, that a config names.
 pub fn backgrounds(config: &Config) -> Outcome<Backgrounds> {
     let Some(dir) = config.backgrounds.as_ref().filter(|_| !config.data.background.embedded) else {
         return Ok(Backgrounds::embedded());
@@ -23,19 +26,23 @@ pub fn backgrounds(config: &Config) -> Outcome<Backgrounds> {
     if !dir.is_dir() {
         return Err(Failure::new(format!("{}: no such folder of backgrounds{}", dir.display(), nearest::path_hint(dir))));
     }
-    let backgrounds = Backgrounds::open(dir)?;
-    for photo in backgrounds.skipped() {
-        console::warn(&format!("{photo}: skipped"));
-    }
-    Ok(backgrounds)
+    Ok(Backgrounds::open(dir)?)
 }
 
-/// Generates a dataset.
+/// Generates a dataset; photos that cannot be used are warned of, those that only turn out so while drawing at the end.
 pub fn datagen(config: &Config, options: &GenerateOptions) -> Outcome<tcross_datagen::Summary> {
     let backgrounds = backgrounds(config)?;
+    let mut named = BTreeSet::new();
+    let mut warn = || {
+        for photo in backgrounds.skipped().into_iter().filter(|photo| named.insert(photo.clone())) {
+            console::warn(&format!("{photo}: skipped"));
+        }
+    };
+    warn();
     let mut bar = Progress::new("datagen", config.data.images);
     let made = tcross_datagen::generate(&config.data, &backgrounds, options, &stop::flag(), &mut |p| bar.at(p.done, p.total, "images"));
     drop(bar);
+    warn();
     made.map_err(|e| match e {
         DatagenError::Stopped => {
             Failure::Interrupted { kept: format!("{} keeps what was finished; --resume goes on", options.out.display()) }

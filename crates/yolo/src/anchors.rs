@@ -46,7 +46,8 @@ pub fn mean_iou(sizes: &[[f32; 2]], anchors: &[[f32; 2]]) -> f64 {
     sizes.iter().map(|size| f64::from(best(size))).sum::<f64>() / sizes.len().max(1) as f64
 }
 
-fn shape_iou(a: [f32; 2], b: [f32; 2]) -> f32 {
+/// IoU of two shapes `[width, height]`, both centred at 0.
+pub(crate) fn shape_iou(a: [f32; 2], b: [f32; 2]) -> f32 {
     let both = a[0].min(b[0]) * a[1].min(b[1]);
     both / (a[0] * a[1] + b[0] * b[1] - both)
 }

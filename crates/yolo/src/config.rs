@@ -151,7 +151,7 @@ pub struct ModelSection {
     pub heads: Vec<usize>,
     /// Number of classes.
     pub classes: usize,
-    /// Points a box carries besides itself (0: plain YOLOv3).
+    /// Points a box carries besides itself (0: plain YOLOv3). They are learned with the boxes; `infer` does not write them.
     pub keypoints: usize,
     /// Input size `[width, height]` in pixels, both multiples of 32.
     pub input: NetSize,
@@ -374,6 +374,7 @@ impl ModelConfig {
         self.validate_heads()?;
         self.validate_anchors()?;
         let graph = self.graph()?;
+        self.validate_layers(&graph)?;
         let multiple = graph.max_stride();
         for (key, side) in [("width", self.input.width), ("height", self.input.height)] {
             if side == 0 || side % multiple != 0 || side > 8192 {
@@ -393,6 +394,27 @@ impl ModelConfig {
             Architecture::YoloV3Tiny if self.heads != self.architecture.strides() => wrong("[32, 16] for yolov3-tiny"),
             _ if self.heads.len() != self.masks.len() => wrong(&format!("as many as masks ({})", self.masks.len())),
             _ => Ok(()),
+        }
+    }
+
+    /// What is said of the heads is what the layers have, which a cfg's text says too.
+    fn validate_layers(&self, graph: &Graph) -> Result<(), YoloError> {
+        let heads: Vec<usize> = graph.heads().map(|(_, _, stride)| stride).collect();
+        if heads != self.heads {
+            return Err(YoloError::value("model.heads", format!("{:?}", self.heads), format!("{heads:?}, which the layers have")));
+        }
+        let masks: Vec<&[usize]> = graph.heads().map(|(_, mask, _)| mask).collect();
+        if masks != self.masks {
+            return Err(YoloError::value("model.masks", format!("{:?}", self.masks), format!("{masks:?}, which the layers have")));
+        }
+        let fields = self.fields().len();
+        match graph.heads().find(|(layer, mask, _)| graph.channels(*layer) != mask.len() * fields) {
+            Some((layer, mask, _)) => {
+                let (channels, wanted) = (graph.channels(layer), mask.len() * fields);
+                let allowed = format!("a number that fits the {channels} channels of layer {layer}, not {wanted}");
+                Err(YoloError::value("model.classes", self.classes, allowed))
+            }
+            None => Ok(()),
         }
     }
 
@@ -599,6 +621,23 @@ mod tests {
         ] {
             let message = section.validate().unwrap_err().to_string();
             assert!(words.iter().all(|w| message.contains(w)), "{message}");
+        }
+    }
+
+    /// An edited `model.toml` whose layers are a cfg's text.
+    #[test]
+    fn what_differs_from_the_layers_is_named() {
+        let tiny = ModelConfig::of(Architecture::YoloV3Tiny);
+        let good = crate::weights::cfg::with_layers(tiny.clone(), &tiny.graph().unwrap());
+        good.validate().unwrap();
+        for (config, words) in [
+            (ModelConfig { heads: vec![32, 8], ..good.clone() }, "model.heads = [32, 8]: expected [32, 16]"),
+            (ModelConfig { masks: vec![vec![0, 1, 2], vec![3, 4, 5]], ..good.clone() }, "expected [[3, 4, 5], [0, 1, 2]]"),
+            (ModelConfig { classes: 2, ..good.clone() }, "model.classes = 2: expected a number that fits the 18 channels of layer 16"),
+            (ModelConfig { keypoints: 1, ..good.clone() }, "fits the 18 channels"),
+        ] {
+            let message = config.validate().unwrap_err().to_string();
+            assert!(message.contains(words), "{message}");
         }
     }
 }

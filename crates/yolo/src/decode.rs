@@ -123,11 +123,16 @@ mod tests {
     /// The naive twin: every predictor and class, by the formulas, in f64.
     #[test]
     fn equals_the_formulas() {
-        let geometry = geometry();
+        [1.0, 2.0].into_iter().for_each(equals_the_formulas_at);
+    }
+
+    fn equals_the_formulas_at(scale_xy: f32) {
+        let geometry = Geometry { scale_xy, ..geometry() };
         let logits = logits(&geometry);
         let views: Vec<&[f32]> = logits.iter().map(Vec::as_slice).collect();
         let got = decode(&geometry, &views, 0.3);
         let s = |x: f32| 1.0 / (1.0 + (-f64::from(x)).exp());
+        let stretched = |x: f32| 0.5 + f64::from(scale_xy) * (s(x) - 0.5);
         let mut naive = Vec::new();
         for (head, grid) in geometry.heads.iter().enumerate() {
             for (anchor, &m) in grid.mask.iter().enumerate() {
@@ -139,7 +144,7 @@ mod tests {
                             if score >= 0.3 {
                                 let stride = grid.stride_px as f64;
                                 let [aw, ah] = geometry.anchors[m].map(f64::from);
-                                let (x, y) = ((column as f64 + s(t(0))) * stride, (row as f64 + s(t(1))) * stride);
+                                let (x, y) = ((column as f64 + stretched(t(0))) * stride, (row as f64 + stretched(t(1))) * stride);
                                 let (w, h) = (f64::from(t(2)).exp() * aw, f64::from(t(3)).exp() * ah);
                                 let point = [
                                     (column as f64 + 0.5) * stride + f64::from(t(8)) * aw,

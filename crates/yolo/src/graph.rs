@@ -251,7 +251,7 @@ impl Graph {
     #[must_use]
     pub fn backbone(&self) -> usize {
         let last_shortcut = self.layers.iter().rposition(|l| matches!(l, Layer::Shortcut { .. })).map(|at| at + 1);
-        let first_head = self.layers.iter().position(|l| matches!(l, Layer::Head { .. })).map(|at| at - 1);
+        let first_head = self.layers.iter().position(|l| matches!(l, Layer::Head { .. })).map(|at| at.saturating_sub(1));
         last_shortcut.or(first_head).unwrap_or(self.layers.len())
     }
 }

@@ -4,7 +4,7 @@ use crate::{
     error::YoloError,
     graph::{Conv, Graph},
     plan::{PlanStep, Step, plan},
-    weights::{ConvWeights, Weights},
+    weights::{ConvWeights, Weights, fold::fold},
 };
 use rayon::prelude::*;
 use tcross_kernels::{
@@ -18,8 +18,16 @@ use tcross_kernels::{
 #[derive(Debug, Clone)]
 struct Folded {
     conv: Conv,
-    panels: Panels,
+    kernel: Kernel,
     bias: Vec<f32>,
+}
+
+#[derive(Debug, Clone)]
+enum Kernel {
+    /// For the fast kernels.
+    Packed(Panels),
+    /// `[out, in, kernel, kernel]`, of a shape for which there are none.
+    Plain(Vec<f32>),
 }
 
 /// A value on its way through the network: one of the arena's buffers, read as `[height, width, channels]`.
@@ -105,7 +113,7 @@ impl InferenceNet {
         weights.check(graph)?;
         let isa = Isa::detect();
         let layers: Vec<_> = graph.convolutions().zip(&weights.convolutions).collect();
-        let convolutions = layers.par_iter().map(|((_, conv), w)| fold(isa, conv, w, epsilon)).collect();
+        let convolutions = layers.par_iter().map(|((_, conv), w)| ready(isa, conv, w, epsilon)).collect();
         let heads = graph.heads().map(|_| Vec::new()).collect();
         Ok(Self { convolutions, steps: plan(graph, true), kept: vec![None; graph.layers().len()], arena: Arena::default(), heads })
     }
@@ -180,13 +188,16 @@ impl InferenceNet {
     }
 
     fn convolve(&mut self, index: usize, x: Value, residual: Option<Value>) -> Value {
-        let Folded { conv, panels, bias } = &self.convolutions[index];
+        let Folded { conv, kernel, bias } = &self.convolutions[index];
         let shape = shape_of(conv, x.height, x.width);
         let slope = if conv.leaky { crate::blocks::LEAKY_SLOPE as f32 } else { 1.0 };
         let y = Value { buffer: 0, height: shape.out_height(), width: shape.out_width(), channels: shape.out_channels };
         self.arena.fill(y, |arena, out| {
             let epilogue = Epilogue { bias, slope, residual: residual.map(|r| arena.values(r)) };
-            conv::forward_activated(&shape, arena.values(x), panels, epilogue, out);
+            match kernel {
+                Kernel::Packed(panels) => conv::forward_activated(&shape, arena.values(x), panels, epilogue, out),
+                Kernel::Plain(weight) => conv::forward_plain(&shape, arena.values(x), weight, epilogue, out),
+            }
         })
     }
 
@@ -212,20 +223,14 @@ fn shape_of(conv: &Conv, height: usize, width: usize) -> ConvShape {
     ConvShape { batch: 1, height, width, in_channels, out_channels, kernel, stride }
 }
 
-/// Batch norm folded: `scale = gamma / sqrt(variance + epsilon)`, the kernel times it, and `bias = beta - mean * scale`.
-fn fold(isa: Isa, conv: &Conv, weights: &ConvWeights, epsilon: f64) -> Folded {
-    let inputs = conv.in_channels * conv.kernel * conv.kernel;
-    let (kernel, bias) = match &weights.norm {
-        None => (weights.kernel.clone(), weights.bias.clone()),
-        Some(norm) => {
-            let scale: Vec<f32> =
-                norm.gamma.iter().zip(&norm.variance).map(|(g, v)| (f64::from(*g) / (f64::from(*v) + epsilon).sqrt()) as f32).collect();
-            let mut kernel = weights.kernel.clone();
-            kernel.chunks_mut(inputs).zip(&scale).for_each(|(row, s)| row.iter_mut().for_each(|w| *w *= s));
-            (kernel, weights.bias.iter().zip(&norm.mean).zip(&scale).map(|((b, m), s)| b - m * s).collect())
-        }
+/// A convolution with its batch norm folded in, in the form that its kernels read.
+fn ready(isa: Isa, conv: &Conv, weights: &ConvWeights, epsilon: f64) -> Folded {
+    let ConvWeights { kernel, bias, .. } = fold(weights, epsilon);
+    let kernel = match tcross_kernels::covers(conv.kernel, conv.stride) {
+        true => Kernel::Packed(pack::pack_once(isa, &shape_of(conv, 1, 1), &kernel)),
+        false => Kernel::Plain(kernel),
     };
-    Folded { conv: conv.clone(), panels: pack::pack_once(isa, &shape_of(conv, 1, 1), &kernel), bias }
+    Folded { conv: conv.clone(), kernel, bias }
 }
 
 #[cfg(test)]
@@ -233,6 +238,25 @@ mod tests {
     use super::*;
     use crate::{Architecture, Yolo, network::read_logits};
     use burn::tensor::{Device, Tensor, TensorData};
+
+    /// A cfg may have kernels for which there is no fast path, here 5x5 and a 1x1 of stride 2.
+    #[test]
+    fn other_kernels_equal_the_burn_module() {
+        let conv = |size, stride, filters, activation| {
+            format!("[convolutional]\nfilters={filters}\nsize={size}\nstride={stride}\npad=1\nactivation={activation}\n")
+        };
+        let head = "[yolo]\nmask=0\nanchors=10,14\nclasses=1\nnum=1\n";
+        let body = conv(5, 1, 8, "leaky") + &conv(1, 2, 8, "leaky") + &conv(7, 2, 6, "linear") + head;
+        let config = crate::weights::cfg::parse("odd.cfg", &format!("[net]\nwidth=64\nheight=32\n{body}")).unwrap();
+        let weights = Weights::init(&config.graph().unwrap(), &config.fields(), &Default::default(), 3);
+        let image: Vec<f32> = (0..3 * 64 * 32).map(|k| (k % 13) as f32 / 13.0).collect();
+        let device = Device::flex();
+        let network = Yolo::new(&config, &weights, &device).unwrap();
+        let want = read_logits(&network.forward(Tensor::from_data(TensorData::new(image.clone(), [1, 3, 32, 64]), &device))[0]);
+        let mut net = InferenceNet::new(&config, &weights).unwrap();
+        let got = &net.run(&image, config.input)[0];
+        assert!(got.len() == want.len() && got.iter().zip(&want).all(|(a, b)| (a - b).abs() < 1e-4 * (1.0 + b.abs())));
+    }
 
     #[test]
     fn equals_the_burn_module() {

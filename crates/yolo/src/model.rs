@@ -193,7 +193,7 @@ fn partner(path: &Path, extension: &str) -> Result<PathBuf, YoloError> {
     if same.is_file() {
         return Ok(same);
     }
-    let dir = path.parent().unwrap_or(Path::new("."));
+    let dir = files::folder_of(path);
     let entries = std::fs::read_dir(dir).map_err(|e| YoloError::io(dir, e))?;
     let mut found: Vec<PathBuf> = entries.filter_map(|e| e.ok().map(|e| e.path())).collect();
     found.retain(|file| file.extension().is_some_and(|e| e == extension));

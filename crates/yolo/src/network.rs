@@ -115,10 +115,36 @@ impl Yolo {
 
     /// As [`Self::forward`], showing each step's output (`[batch, height, width, channels]`) with its layer's index.
     pub fn forward_watched(&self, images: Tensor<4>, watch: &mut dyn FnMut(usize, &Tensor<4>)) -> Vec<Tensor<4>> {
-        let mut kept: Vec<Option<Tensor<4>>> = vec![None; self.graph.layers().len()];
+        self.walk(&self.steps, self.start(images), watch).0
+    }
+
+    /// The first half of [`Self::forward`]: the backbone alone.
+    #[must_use]
+    pub fn backbone(&self, images: Tensor<4>) -> Features {
+        self.walk(&self.steps[..self.cut()], self.start(images), &mut |_, _| {}).1
+    }
+
+    /// The second half: what follows the backbone.
+    #[must_use]
+    pub fn heads(&self, features: Features) -> Vec<Tensor<4>> {
+        self.walk(&self.steps[self.cut()..], features, &mut |_, _| {}).0
+    }
+
+    /// How many steps the backbone has.
+    fn cut(&self) -> usize {
+        let layers = self.graph.backbone();
+        self.steps.iter().position(|s| s.layer >= layers).unwrap_or(self.steps.len())
+    }
+
+    fn start(&self, images: Tensor<4>) -> Features {
+        Features { x: ops::channels_last(images), kept: vec![None; self.graph.layers().len()] }
+    }
+
+    /// Takes steps from where others ended: the logits of the heads on the way, and where it ends itself.
+    fn walk(&self, steps: &[PlanStep], from: Features, watch: &mut dyn FnMut(usize, &Tensor<4>)) -> (Vec<Tensor<4>>, Features) {
+        let Features { mut x, mut kept } = from;
         let mut heads = Vec::new();
-        let mut x = ops::channels_last(images);
-        for PlanStep { step, layer, kept: keep, dropped } in &self.steps {
+        for PlanStep { step, layer, kept: keep, dropped } in steps {
             let read = |layer: &usize| kept[*layer].clone().expect("the plan keeps what a later step reads");
             x = match step {
                 Step::Conv(index) => self.convolutions[*index].forward(x, self.path),
@@ -141,7 +167,33 @@ impl Yolo {
             }
             dropped.iter().for_each(|&layer| kept[layer] = None);
         }
-        heads
+        (heads, Features { x, kept })
+    }
+}
+
+/// Where a walk through the network has come to: its value (`[batch, height, width, channels]`) and those, by layer, that later steps read.
+#[derive(Debug, Clone)]
+pub struct Features {
+    x: Tensor<4>,
+    kept: Vec<Option<Tensor<4>>>,
+}
+
+impl Features {
+    /// The value and the kept ones in the order of their layers.
+    pub fn tensors(&self) -> impl Iterator<Item = &Tensor<4>> {
+        std::iter::once(&self.x).chain(self.kept.iter().flatten())
+    }
+
+    /// The same place in the network with other values, in the order of [`Self::tensors`].
+    ///
+    /// # Panics
+    /// If there are not as many.
+    #[must_use]
+    pub fn with_tensors(&self, tensors: impl IntoIterator<Item = Tensor<4>>) -> Self {
+        let mut tensors = tensors.into_iter();
+        let mut next = || tensors.next().expect("as many values as before");
+        let x = next();
+        Self { x, kept: self.kept.iter().map(|k| k.as_ref().map(|_| next())).collect() }
     }
 }
 

@@ -1,5 +1,6 @@
 //! Which predictor learns which truth.
 use crate::{
+    anchors,
     error::YoloError,
     fields::BoxFields,
     geometry::{Geometry, NormBox, Predictor},
@@ -165,9 +166,8 @@ fn best_anchor(geometry: &Geometry, b: &NormBox) -> usize {
 
 /// IoU of an anchor and a box, both centred at 0.
 fn shape_iou(geometry: &Geometry, anchor: usize, b: &NormBox) -> f32 {
-    let shape = |w: f32, h: f32| NormBox { x: 0.0, y: 0.0, w, h };
     let [w, h] = geometry.anchors[anchor];
-    shape(w / geometry.net.width as f32, h / geometry.net.height as f32).iou(&shape(b.w, b.h))
+    anchors::shape_iou([w / geometry.net.width as f32, h / geometry.net.height as f32], [b.w, b.h])
 }
 
 fn target(geometry: &Geometry, at: Predictor, b: &NormBox) -> [f32; 4] {

@@ -148,6 +148,7 @@ mod tests {
                 height: config.height,
                 background: None,
                 markers: vec![],
+                confusers: Vec::new(),
                 intrinsics: None,
                 distortion: None,
                 effects: Default::default(),

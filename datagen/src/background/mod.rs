@@ -93,7 +93,7 @@ impl Backgrounds {
         }
     }
 
-    /// Names and contents of the photos, or the version of the embedded scenes, in one word.
+    /// Names, sizes and first 64 KiB of the photos, or the version of the embedded scenes, in one word.
     #[must_use]
     pub fn digest(&self) -> String {
         match self {

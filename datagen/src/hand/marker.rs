@@ -104,15 +104,35 @@ impl Spec {
             let mut rng = Rng::for_item(self.seed, "datagen/marker/place", attempt);
             let (view, outline) = place(&self.stance, camera, width, height, &mut rng)?;
             let grown = grow(&outline, 1.5);
+            let cover = self.cover(&view, &outline);
             let free = taken.iter().all(|other| {
                 let common = quad::polygon_area(&quad::clip_convex(&grow(other, 1.5).0, &grown.0)).abs();
+                let ink = grow(other, 1.15);
                 common < 0.02 * other.signed_area().abs().min(outline.signed_area().abs())
+                    && cover.iter().all(|c| quad::polygon_area(&quad::clip_convex(c, &ink.0)).abs() < 1e-3 * other.signed_area().abs())
             });
             if free {
                 return Some((view, outline));
             }
         }
         None
+    }
+
+    /// What it lays over the picture besides ink: the outlines of its sheet and of what covers it. None of them may lie on another's ink,
+    /// which is in the truth already. (Near misses are painted before all markers.)
+    fn cover(&self, view: &View, outline: &Quad) -> Vec<Vec<[f64; 2]>> {
+        if self.near_miss {
+            return Vec::new();
+        }
+        let [w, h] = self.stance.half;
+        let sheet = self.sheet.margins.map(|margins| {
+            let [left, top, right, bottom] = margins.map(f64::from);
+            let corners = [[-w - left, -h - top], [w + right, -h - top], [w + right, h + bottom], [-w - left, h + bottom]];
+            let seen: Option<Vec<_>> = corners.into_iter().map(|p| view.image_from_plane(p)).collect();
+            seen.unwrap_or_else(|| grow(outline, 3.0).0.to_vec())
+        });
+        let before = self.occluder(outline).map(|(_, o)| o.iter().map(|p| p.map(f64::from)).collect());
+        sheet.into_iter().chain(before).collect()
     }
 
     /// Draws it, in colours that show on what is behind it.

@@ -12,7 +12,7 @@ use crate::{
 };
 use image::RgbImage;
 use serde_json::json;
-use tcross_dataset::{Marker, Quad, Record, Rng, geom::quad};
+use tcross_dataset::{Confuser, Marker, Quad, Record, Rng, geom::quad};
 
 pub mod drawing;
 pub mod film;
@@ -96,7 +96,10 @@ pub fn draw(mut canvas: Canvas, config: &Config, seed: u64, index: u64, moment: 
     }
     for (k, truth) in truths {
         let (spec, view) = &shown[k];
-        if !spec.near_miss {
+        if spec.near_miss {
+            let bounds = <[f64; 4]>::from(truth.bounds).map(rounded).into();
+            record.confusers.push(Confuser { shape: spec.shape.name().into(), bounds });
+        } else {
             record.markers.extend(truth.into_marker(spec, view, width, height, motion.as_ref()));
         }
     }

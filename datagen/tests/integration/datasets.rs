@@ -109,6 +109,29 @@ fn an_interrupted_run_is_resumed_to_the_same_bytes() {
 }
 
 #[test]
+fn a_finished_dataset_is_never_lost_to_another() {
+    let (config, dir) = (small(Style::HandDrawn), tempfile::tempdir().unwrap());
+    make(&config, dir.path(), |_| {}).unwrap();
+    let whole = contents(dir.path());
+    let others: [fn(&mut GenerateOptions); 3] = [|o| o.only = Some(3), |o| o.shard = Some((0, 2)), |o| o.seed = 99];
+    for other in others {
+        for resume in [false, true] {
+            let answer = make(&config, dir.path(), |o| {
+                other(o);
+                o.resume = resume;
+            });
+            assert!(matches!(answer, Err(DatagenError::Mismatch { .. })));
+        }
+    }
+    // A job array sent again finds its part done.
+    let again = make(&config, dir.path(), |o| o.resume = true).unwrap();
+    assert_eq!(again.resumed, 20);
+    assert!(contents(dir.path()) == whole);
+    make(&config, dir.path(), |_| {}).unwrap();
+    assert!(contents(dir.path()) == whole);
+}
+
+#[test]
 fn truth_is_complete_and_inside() {
     let dir = tempfile::tempdir().unwrap();
     let config = Config { images: 60, ..small(Style::HandDrawn) };

@@ -294,3 +294,37 @@ fn a_hands_corners_are_where_the_truth_says() {
     eprintln!("felt tip: corners median {:.3} p95 {:.3}", c[0], c[1]);
     assert!(c[0] < 0.3 && c[1] < 1.0, "{c:?}");
 }
+
+/// Whatever is drawn after a marker, sheets and what covers them included, leaves the pixels of its mask as they were: the truth is still true.
+#[test]
+fn a_later_marker_covers_no_earlier_one() {
+    let mut config = Config { width: 320, height: 320, ..Config::default() };
+    config.markers.side_px = Dist::uniform(30.0, 60.0);
+    config.markers.margin = Dist::constant(0.6);
+    config.markers.surfaces = [(Surface::White, 1.0)].into();
+    config.markers.occlusion = Dist::constant(0.3);
+    config.confusers.near_misses = Dist::constant(0.0);
+    config.camera.noise_percent = Dist::constant(0.0);
+    let backgrounds = Backgrounds::embedded();
+    let mut several = 0;
+    for index in 0..40 {
+        let [one, many] = [1.0, 4.0].map(|count| {
+            config.markers.per_image = Dist::constant(count);
+            sample(&config, &backgrounds, 3, index).unwrap()
+        });
+        let (Some(marker), true) = (one.record.markers.first(), many.record.markers.len() > 1) else { continue };
+        assert_eq!(marker.bounds, many.record.markers[0].bounds);
+        several += 1;
+        let mut at = 0;
+        for run in marker.mask.as_ref().unwrap().chunks(2) {
+            at += run[0];
+            for pixel in at..at + run[1] {
+                let (x, y) = (pixel % 320, pixel / 320);
+                let (a, b) = (one.image.get_pixel(x, y), many.image.get_pixel(x, y));
+                assert!(a.0.iter().zip(b.0).all(|(a, b)| a.abs_diff(b) <= 24), "image {index} at ({x}, {y}): {a:?} {b:?}");
+            }
+            at += run[1];
+        }
+    }
+    assert!(several > 10, "{several}");
+}

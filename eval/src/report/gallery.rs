@@ -121,7 +121,7 @@ fn crop(truth: &Truth, evaluation: &Evaluation, failure: &Failure, rank: usize) 
 }
 
 fn open(truth: &Truth, index: usize) -> Option<RgbImage> {
-    image::open(truth.image_path(index)?).ok().map(image::DynamicImage::into_rgb8)
+    tcross_dataset::picture::read(truth.image_path(index)?).ok()
 }
 
 fn stem(index: usize, image: &str) -> String {

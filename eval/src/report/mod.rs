@@ -12,6 +12,7 @@ pub use tables::{Named as NamedTable, coco_scores};
 use crate::{
     calibration::calibration,
     compare::{Comparison, compare},
+    config::Protocol,
     error::EvalError,
     evaluation::Evaluation,
     failures::failures,
@@ -19,7 +20,6 @@ use crate::{
     paper_tables::{self, PaperRow},
     slices,
     sweep::Sweep,
-    table::Table,
     truth::Truth,
 };
 use rayon::prelude::*;
@@ -100,38 +100,38 @@ pub struct Built {
 }
 
 impl Report<'_> {
-    /// The six metrics of each run beside the paper's row.
-    #[must_use]
-    pub fn headline(&self) -> Table {
-        tables::headline(&self.runs)
+    /// The runs for which the paper's protocol is asked.
+    fn by_paper(&self) -> Vec<Run<'_>> {
+        self.runs.iter().filter(|run| run.evaluation.config.wants(Protocol::Paper)).copied().collect()
     }
 
     /// Computes tables, figures and galleries.
     #[must_use]
     pub fn build(&self) -> Built {
         let several = self.runs.len() > 1;
+        let by_paper = self.by_paper();
         let mut tables = Vec::new();
-        if !self.runs.is_empty() {
-            tables.push(NamedTable::new("headline", self.headline()));
+        if !by_paper.is_empty() {
+            tables.push(NamedTable::new("headline", tables::headline(&by_paper)));
         }
         let comparisons = self.comparisons();
         for (k, c) in comparisons.iter().enumerate() {
             tables.push(NamedTable::new(format!("compare-{}", k + 1), tables::comparison(c)));
         }
-        tables.extend(tables::min_side(&self.runs).map(|t| NamedTable::new("min-side", t)));
+        tables.extend(tables::min_side(&by_paper).map(|t| NamedTable::new("min-side", t)));
         tables.extend(tables::coco(&self.runs).map(|t| NamedTable::new("coco", t)));
         let mut figures = Vec::new();
-        if !self.runs.is_empty() {
-            figures.extend([figures::figure_20(&self.runs), figures::froc(&self.runs), figures::precision_recall(&self.runs)]);
+        if !by_paper.is_empty() {
+            figures.extend([figures::figure_20(&by_paper), figures::froc(&by_paper), figures::precision_recall(&by_paper)]);
         }
         tables.extend(sweeps::tables(&self.sweeps));
         figures.extend(sweeps::figures(&self.sweeps));
         let mut galleries = Vec::new();
         let mut problems = Vec::new();
-        for run in &self.runs {
+        for (run, slug) in self.runs.iter().zip(slugs(self.runs.iter().map(|run| run.evaluation.name.as_str()))) {
             let part = build_run(run);
             // Keys stay unique where several runs share a report.
-            let prefix = if several { format!("{}-", slug(&run.evaluation.name)) } else { String::new() };
+            let prefix = if several { format!("{slug}-") } else { String::new() };
             let heading = if several { format!("{}: ", run.evaluation.name) } else { String::new() };
             tables.extend(part.tables.into_iter().map(|mut t| {
                 t.key.insert_str(0, &prefix);
@@ -150,12 +150,12 @@ impl Report<'_> {
             }));
             problems.extend(run.evaluation.problems.iter().map(|(kind, n)| format!("{heading}{n} {}", kind.words())));
         }
-        if !self.runs.is_empty() {
+        if !by_paper.is_empty() {
             tables.push(NamedTable::new("paper", tables::paper()));
         }
         Built {
             title: self.title.clone(),
-            verdicts: self.runs.iter().map(verdict).collect(),
+            verdicts: by_paper.iter().map(verdict).collect(),
             metrics: self.metrics(),
             tables,
             figures,
@@ -166,10 +166,11 @@ impl Report<'_> {
         }
     }
 
-    /// Every pair of runs that share one truth.
+    /// Every pair of runs that share one truth, by the paper's protocol.
     #[must_use]
     pub fn comparisons(&self) -> Vec<Comparison> {
-        let pairs = self.runs.iter().enumerate().flat_map(|(k, a)| self.runs[k + 1..].iter().map(move |b| (a, b)));
+        let runs = self.by_paper();
+        let pairs = runs.iter().enumerate().flat_map(|(k, a)| runs[k + 1..].iter().map(move |b| (a, b)));
         let shared = pairs.filter(|(a, b)| std::ptr::eq(a.truth, b.truth));
         shared.map(|(a, b)| compare(a.truth, a.evaluation, b.evaluation)).collect()
     }
@@ -210,8 +211,9 @@ struct Part {
 fn build_run(run: &Run) -> Part {
     let Run { truth, evaluation, .. } = *run;
     let mut part = Part { tables: Vec::new(), figures: Vec::new(), galleries: Vec::new() };
-    let slices = slices::slices(truth, evaluation);
-    if evaluation.config.wants(crate::Protocol::Paper) {
+    let sliced = [Protocol::Paper, Protocol::Pose].iter().any(|p| evaluation.config.wants(*p));
+    let slices = if sliced { slices::slices(truth, evaluation) } else { Vec::new() };
+    if evaluation.config.wants(Protocol::Paper) {
         part.tables.extend(tables::table_6(run).map(|t| NamedTable::new("table6", t)));
         part.tables.push(NamedTable::new("thresholds", tables::thresholds(evaluation)));
         part.tables.push(NamedTable::new("summary", tables::summary(run)));
@@ -263,14 +265,32 @@ fn verdict(run: &Run) -> String {
     text
 }
 
-/// A name made safe for files.
-fn slug(name: &str) -> String {
-    let safe: String = name.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' }).collect();
-    safe.split('-').filter(|p| !p.is_empty()).collect::<Vec<_>>().join("-")
+/// A name made safe for files: the letters and digits of any script in lower case, a dash for what stands between.
+#[must_use]
+pub fn slug(name: &str) -> String {
+    let lower = name.to_lowercase();
+    let words: Vec<&str> = lower.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty()).collect();
+    if words.is_empty() { "run".into() } else { words.join("-") }
+}
+
+/// A slug for each name, no two alike.
+fn slugs<'a>(names: impl IntoIterator<Item = &'a str>) -> Vec<String> {
+    let mut all: Vec<String> = Vec::new();
+    for name in names {
+        let mut unique = slug(name);
+        for k in 2.. {
+            if !all.contains(&unique) {
+                break;
+            }
+            unique = format!("{}-{k}", slug(name));
+        }
+        all.push(unique);
+    }
+    all
 }
 
 impl Built {
-    /// Writes `metrics.json`, `tables/`, `figures/`, `failures/` and `report.html` into a folder.
+    /// Writes `metrics.json`, `tables/`, `figures/`, `galleries/` and `report.html` into a folder.
     ///
     /// # Errors
     /// If the folder cannot be written.
@@ -295,5 +315,17 @@ impl Built {
         }
         files::write_atomically(out.join("report.html"), self.html())?;
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_any_script_make_different_files() {
+        assert_eq!(slug("T cross, 2 px (ours)"), "t-cross-2-px-ours");
+        assert_eq!((slug("Крест 2"), slug("十字"), slug("**")), ("крест-2".into(), "十字".into(), "run".into()));
+        assert_eq!(slugs(["a b", "a-b", "A B", "c"]), ["a-b", "a-b-2", "a-b-3", "c"]);
     }
 }

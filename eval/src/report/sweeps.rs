@@ -20,9 +20,10 @@ pub fn tables(sweeps: &[Sweep]) -> Vec<Named> {
 
 /// `sweep-blur`, and the run's name behind it where several runs are swept over one factor.
 fn key(all: &[Sweep], sweep: &Sweep) -> String {
-    let alone = all.iter().filter(|s| s.factor == sweep.factor).count() == 1;
-    let run = if alone { String::new() } else { format!("-{}", super::slug(&sweep.run)) };
-    format!("sweep-{}{run}", sweep.factor.name())
+    let alike: Vec<&Sweep> = all.iter().filter(|s| s.factor == sweep.factor).collect();
+    let slugs = super::slugs(alike.iter().map(|s| s.run.as_str()));
+    let run = alike.iter().zip(slugs).find(|(s, _)| alike.len() > 1 && std::ptr::eq(**s, sweep));
+    format!("sweep-{}{}", sweep.factor.name(), run.map_or(String::new(), |(_, slug)| format!("-{slug}")))
 }
 
 fn summary(sweeps: &[Sweep]) -> Table {

@@ -13,6 +13,7 @@ fn record(k: usize) -> Record {
         height: 416,
         background: None,
         markers: vec![Marker::from_box("t_cross", [100.0, 100.0, 139.0, 139.0].into())],
+        confusers: Vec::new(),
         intrinsics: None,
         distortion: None,
         effects: serde_json::Map::new(),

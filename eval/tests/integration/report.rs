@@ -12,6 +12,7 @@ fn dataset(dir: &std::path::Path) {
         height: 50,
         background: Some("embedded/room".into()),
         markers: boxes.iter().map(|b| Marker::from_box("t_cross", (*b).into())).collect(),
+        confusers: Vec::new(),
         intrinsics: None,
         distortion: None,
         effects: serde_json::Map::new(),

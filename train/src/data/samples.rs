@@ -11,7 +11,7 @@ use std::{
         atomic::{AtomicUsize, Ordering},
     },
 };
-use tcross_dataset::{Dataset, DatasetError, Letterbox, PixelBox, Record, Split};
+use tcross_dataset::{Dataset, Letterbox, PixelBox, Record, Split, picture};
 use tcross_yolo::{NetSize, input};
 
 /// Images of one split at one letterboxed size.
@@ -20,6 +20,7 @@ pub struct Samples {
     pub records: Vec<Record>,
     paths: Vec<PathBuf>,
     labels: Vec<Vec<Label>>,
+    confusers: Vec<Vec<PixelBox>>,
     size: NetSize,
     cache: Vec<OnceLock<Arc<Planes>>>,
     cached_bytes: AtomicUsize,
@@ -54,6 +55,7 @@ impl Samples {
             records: Vec::new(),
             paths: Vec::new(),
             labels: Vec::new(),
+            confusers: Vec::new(),
             size,
             cache: Vec::new(),
             cached_bytes: AtomicUsize::new(0),
@@ -66,6 +68,7 @@ impl Samples {
                 None => {
                     samples.paths.push(dataset.image_path(&record));
                     samples.labels.push(labels);
+                    samples.confusers.push(confusers_of(&record, size, extra));
                     samples.records.push(record);
                 }
             }
@@ -88,6 +91,7 @@ impl Samples {
         self.records = chosen.iter().map(|&k| self.records[k].clone()).collect();
         self.paths = chosen.iter().map(|&k| self.paths[k].clone()).collect();
         self.labels = chosen.iter().map(|&k| self.labels[k].clone()).collect();
+        self.confusers = chosen.iter().map(|&k| self.confusers[k].clone()).collect();
         self.cache.truncate(most);
         self
     }
@@ -97,7 +101,7 @@ impl Samples {
         if let Some(planes) = self.cache[index].get() {
             return Some(Arc::clone(planes));
         }
-        let image = match decode(&self.paths[index]) {
+        let image = match picture::read(&self.paths[index]) {
             Ok(image) => image,
             Err(error) => {
                 self.warn(format!("{error}; skipped"));
@@ -153,25 +157,20 @@ impl Labels for Samples {
         &self.labels[index]
     }
 
+    fn confusers(&self, index: usize) -> &[PixelBox] {
+        &self.confusers[index]
+    }
+
     fn size(&self) -> NetSize {
         self.size
     }
 }
 
-fn decode(path: &Path) -> Result<image::RgbImage, DatasetError> {
-    let broken = |message: String| DatasetError::Image { path: path.to_owned(), message };
-    let reader = image::ImageReader::open(path).map_err(|e| DatasetError::io(path, e))?;
-    let reader = reader.with_guessed_format().map_err(|e| DatasetError::io(path, e))?;
-    Ok(reader.decode().map_err(|e| broken(e.to_string()))?.into_rgb8())
-}
-
 /// Why an image cannot be used: missing, empty, no picture, or of another size than its record says.
 fn unreadable(path: &Path, record: &Record) -> Option<String> {
-    let size = image::ImageReader::open(path).and_then(|r| r.with_guessed_format()).map(image::ImageReader::into_dimensions);
-    match size {
-        Err(e) => Some(format!("{}: {e}; skipped", path.display())),
-        Ok(Err(e)) => Some(format!("{}: unreadable image: {e}; skipped", path.display())),
-        Ok(Ok(found)) if found != (record.width, record.height) => Some(format!(
+    match picture::dimensions(path) {
+        Err(e) => Some(format!("{e}; skipped")),
+        Ok(found) if found != (record.width, record.height) => Some(format!(
             "{}: {}x{} pixels, but its record says {}x{}; skipped",
             path.display(),
             found.0,
@@ -179,7 +178,7 @@ fn unreadable(path: &Path, record: &Record) -> Option<String> {
             record.width,
             record.height
         )),
-        Ok(Ok(_)) => None,
+        Ok(_) => None,
     }
 }
 
@@ -207,6 +206,16 @@ fn labels_of(record: &Record, size: NetSize, extra: f64, classes: &[String]) -> 
         Ok(Label { bounds: letterbox.box_to_net(&inside), class: class as u32, points })
     };
     record.markers.iter().enumerate().map(label).collect()
+}
+
+/// Boxes of a record's confusers in the letterboxed image; those without an area in it are passed over.
+fn confusers_of(record: &Record, size: NetSize, extra: f64) -> Vec<PixelBox> {
+    let letterbox = Letterbox::new((record.width as usize, record.height as usize), (size.width, size.height));
+    let inside = record.confusers.iter().map(|c| {
+        let b = c.bounds;
+        PixelBox { x_max: b.x_max + extra, y_max: b.y_max + extra, ..b }.clipped(f64::from(record.width), f64::from(record.height))
+    });
+    inside.filter(|b| b.width() > 0.0 && b.height() > 0.0).map(|b| letterbox.box_to_net(&b)).collect()
 }
 
 /// A marker's centre and corners, where its record tells them; the centre is where the diagonals cross, if it is not told itself.

@@ -13,7 +13,7 @@ use std::{
 use tcross_dataset::{Dataset, Split};
 use tcross_train::{
     Config, End, Progress, RunOptions, RunSummary, TrainError,
-    config::{Augment, Freeze, ScheduleKind, Validate},
+    config::{Augment, Freeze, Optimizer, OptimizerKind, ScheduleKind, Validate},
     fit,
 };
 use tcross_yolo::{Architecture, Model, ModelSection, NetSize, Yolo, decode::decode, input, network::read_logits};
@@ -79,6 +79,43 @@ fn stopping_and_resuming_changes_nothing_and_repeats_are_bit_identical() {
         assert!(read("once") == read("again"), "{name} differs between repeats");
         assert!(read("once") == read("stopped"), "{name} differs after stops");
     }
+}
+
+/// Muon's state is saved and read back too, and it is another way to learn than AdamW's.
+#[test]
+fn muon_stops_resumes_and_repeats_to_equal_bits() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = data(dir.path(), 10);
+    let with = |kind| Config { optimizer: Optimizer { kind, ..Optimizer::default() }, ..short() };
+    let weights = |run: &str| std::fs::read(dir.path().join(run).join("last.safetensors")).unwrap();
+    for (run, kind) in [("once", OptimizerKind::Muon), ("again", OptimizerKind::Muon), ("adamw", OptimizerKind::Adamw)] {
+        train(&with(kind), &dataset, dir.path().join(run)).unwrap();
+    }
+    train_with_stops(&with(OptimizerKind::Muon), &dataset, &dir.path().join("stopped"), &[1, 3]);
+    assert!(weights("once") == weights("again") && weights("once") == weights("stopped"));
+    assert!(weights("once") != weights("adamw"));
+}
+
+/// A list without images is no validation, as no list is.
+#[test]
+fn an_empty_validation_split_is_none() {
+    let dir = tempfile::tempdir().unwrap();
+    toy::write(&dir.path().join("data"), 4, 0, 64).unwrap();
+    let dataset = Dataset::open(dir.path().join("data")).unwrap();
+    let summary = train(&Config { epochs: Some(1.0), ..short() }, &dataset, dir.path().join("run")).unwrap();
+    assert_eq!((summary.end, summary.best), (End::Finished, None));
+    assert!(dir.path().join("run/best.safetensors").is_file());
+}
+
+#[test]
+fn class_names_are_as_many_as_classes() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = data(dir.path(), 4);
+    let named = |names: &[&str]| Config { steps: Some(1), classes: names.iter().map(ToString::to_string).collect(), ..short() };
+    let error = train(&named(&["t_cross", "star"]), &dataset, dir.path().join("two")).unwrap_err().to_string();
+    assert!(error.contains("train.classes = 2 names: expected 1"), "{error}");
+    train(&named(&["t_cross"]), &dataset, dir.path().join("one")).unwrap();
+    assert_eq!(Model::load(dir.path().join("one")).unwrap().config.names, ["t_cross"]);
 }
 
 #[test]
@@ -243,6 +280,22 @@ fn a_frozen_backbone_stands_still() {
     assert!(mean(&running).iter().all(|v| *v == 0.0) && mean(&frozen).iter().any(|v| *v != 0.0));
 }
 
+/// What a still backbone says of still images is computed once; the training's bits are those of computing it at every step.
+#[test]
+fn kept_features_change_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = data(dir.path(), 8);
+    let still = Augment { flip: 0.0, color_probability: 0.0, ..short().augment };
+    assert!(still.is_still() && !short().augment.is_still());
+    let start = |cache_gb, out: &str| {
+        let config = Config { freeze: Freeze::BackboneRunning, augment: still.clone(), cache_gb, epochs: Some(4.0), ..short() };
+        let out = dir.path().join(out);
+        train(&config, &dataset, out.clone()).unwrap();
+        Model::load(out.join("last.safetensors")).unwrap().weights
+    };
+    assert!(start(1.0, "kept") == start(0.0, "computed"));
+}
+
 #[test]
 fn divergence_stops_and_shows_its_batch() {
     let dir = tempfile::tempdir().unwrap();
@@ -268,7 +321,11 @@ fn patience_and_the_clock_end_a_training() {
     assert_eq!((summary.end, summary.history.rows.len() as u64), (End::EarlyStopped, summary.best.map_or(2, |_| 3)));
     // Gone on with, it is still at its end.
     let again = train_with_stops(&config, &dataset, &dir.path().join("patience"), &[]);
-    assert_eq!((again.end, again.steps, again.history), (End::EarlyStopped, summary.steps, summary.history));
+    assert_eq!((again.end, again.steps, &again.history), (End::EarlyStopped, summary.steps, &summary.history));
+    // With more patience it goes on.
+    config.validate.patience = 4;
+    let longer = train_with_stops(&config, &dataset, &dir.path().join("patience"), &[]);
+    assert_eq!((longer.end, longer.history.rows.len()), (End::EarlyStopped, summary.history.rows.len() + 2));
     let config = Config { epochs: None, max_minutes: Some(0.02), ..short() };
     let summary = train(&config, &dataset, dir.path().join("clock")).unwrap();
     // The last validation is planned for: at most half of the time is set aside for it.

@@ -82,7 +82,10 @@ pub fn write(set: &Labelled, out: &Path) -> Result<(), DatasetError> {
 fn annotation(set: &Labelled, record: &Record, marker: &Marker, id: u64, image_id: u64, category_id: u64) -> Annotation {
     let b = set.continuous(&marker.bounds);
     let size = (record.width as usize, record.height as usize);
-    let points: Vec<[f64; 2]> = marker.corners.map(|q| q.0.into_iter().chain(marker.center).collect()).unwrap_or_default();
+    // COCO's keypoints: x, y and 2 where it is known, else three zeros.
+    let known = |p: [f64; 2]| [p[0], p[1], 2.0];
+    let center = marker.center.map_or([0.0; 3], known);
+    let points: Vec<[f64; 3]> = marker.corners.map(|q| q.0.into_iter().map(known).chain([center]).collect()).unwrap_or_default();
     let counts = marker.mask.as_ref().map(|runs| encode(&transpose(&decode(runs, size.0 * size.1), size)));
     let covered = marker.mask.as_ref().map(|runs| runs.iter().skip(1).step_by(2).map(|n| f64::from(*n)).sum());
     Annotation {
@@ -92,8 +95,8 @@ fn annotation(set: &Labelled, record: &Record, marker: &Marker, id: u64, image_i
         bbox: [b.x_min, b.y_min, b.width(), b.height()],
         area: covered.unwrap_or_else(|| b.area()),
         iscrowd: 0,
-        num_keypoints: (!points.is_empty()).then_some(points.len() as u32),
-        keypoints: points.iter().flat_map(|p| [p[0], p[1], 2.0]).collect(),
+        num_keypoints: (!points.is_empty()).then(|| points.iter().filter(|p| p[2] > 0.0).count() as u32),
+        keypoints: points.concat(),
         segmentation: counts.map(|counts| Segmentation::Runs { counts, size: [record.height, record.width] }),
     }
 }
@@ -147,6 +150,10 @@ fn split_records(path: &Path, split: Split) -> Result<Vec<Record>, DatasetError>
             marker = with_geometry(marker, Quad([at(a), at(b), at(c), at(d)]), Some(at(center)));
         }
         if let Some(Segmentation::Runs { counts, size: [height, width] }) = a.segmentation {
+            if (width, height) != (record.width, record.height) {
+                let allowed = format!("{} x {}, its image's size", record.width, record.height);
+                return Err(DatasetError::unfit(path, format!("annotation {} with a mask of {width} x {height}", a.id), allowed));
+            }
             let (w, h) = (width as usize, height as usize);
             marker.mask = Some(encode(&transpose(&decode(&counts, w * h), (h, w))));
         }

@@ -1,7 +1,7 @@
 //! Forms in which labelled pictures are kept: read and written, one a file.
 //!
 //! Between them stands [`Labelled`]: the pictures where they lie, and our records. A form that knows less than ours loses
-//! what it cannot say (`FORMAT.md` has the table); what it can say comes back unchanged.
+//! what it cannot say (each module tells what); what it can say comes back unchanged.
 pub mod coco;
 pub mod native;
 pub mod paper;
@@ -203,11 +203,10 @@ impl Gathering {
         Self { set: Labelled { boxes, splits: BTreeMap::new() }, names: BTreeSet::new() }
     }
 
-    /// Adds a picture under its own name or, where the split has one of that name, with `prefix` and a dash in front.
+    /// Adds a picture under its own name or, where the split has one of that name, with `prefix` and a dash in front, as often as it takes.
     pub(crate) fn add(&mut self, split: Split, mut item: Item, prefix: &str) {
-        if !self.names.insert((split, file_name(&item.record).to_owned())) {
+        while !self.names.insert((split, file_name(&item.record).to_owned())) {
             item.record.image = format!("{split}/{prefix}-{}", file_name(&item.record));
-            self.names.insert((split, file_name(&item.record).to_owned()));
         }
         self.set.splits.entry(split).or_default().push(item);
     }
@@ -240,15 +239,11 @@ fn bare(image: String, (width, height): (u32, u32)) -> Record {
         height,
         background: None,
         markers: Vec::new(),
+        confusers: Vec::new(),
         intrinsics: None,
         distortion: None,
         effects: serde_json::Map::new(),
     }
-}
-
-/// Width and height of a picture, from its head.
-fn size_of(path: &Path) -> Result<(u32, u32), DatasetError> {
-    image::image_dimensions(path).map_err(|e| DatasetError::Image { path: path.to_owned(), message: e.to_string() })
 }
 
 /// Adds corners and centre, and what follows from them, to a marker.

@@ -1,6 +1,6 @@
 //! YOLO's form: `images/SPLIT/x.jpg`, `labels/SPLIT/x.txt` with a line `class cx cy w h` a marker (0..1), and `data.yaml`.
-use super::{Labelled, bare, file_name, pictures_in, relative, size_of, stem};
-use crate::{DatasetError, Marker, PixelBox, Record, Split, dataset::BoxConvention, files};
+use super::{Labelled, bare, file_name, pictures_in, relative, stem};
+use crate::{DatasetError, Marker, PixelBox, Record, Split, dataset::BoxConvention, files, picture};
 use std::{collections::BTreeMap, fmt::Write, path::Path};
 
 /// Writes it.
@@ -73,8 +73,8 @@ pub(super) fn read_with(
             continue;
         }
         let mut rows = Vec::new();
-        for picture in pictures_in(&folder)? {
-            let mut record = bare(relative(&picture, dir), size_of(&picture)?);
+        for path in pictures_in(&folder)? {
+            let mut record = bare(relative(&path, dir), picture::dimensions(&path)?);
             let labels = dir.join("labels").join(split.name()).join(format!("{}.txt", stem(&record)));
             if labels.is_file() {
                 let size = (f64::from(record.width), f64::from(record.height));

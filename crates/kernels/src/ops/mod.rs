@@ -24,6 +24,11 @@ impl Path {
     pub fn for_device(device: &Device) -> Self {
         if device.clone().inner() == Device::flex() { Self::Fused } else { Self::Composite }
     }
+
+    /// This path, or the composite where there is no fast kernel for a convolution.
+    fn covering(self, weight: &Tensor<4>, stride: usize) -> Self {
+        if crate::covers(weight.dims()[2], stride) { self } else { Self::Composite }
+    }
 }
 
 /// What a convolution with batch norm needs to know besides its tensors.
@@ -78,7 +83,7 @@ pub fn channels_first(x: Tensor<4>) -> Tensor<4> {
 /// `leaky(norm(conv(x)))`.
 #[must_use]
 pub fn conv_norm(path: Path, x: Tensor<4>, conv: ConvNorm, settings: NormSettings) -> (Tensor<4>, Statistics) {
-    match path {
+    match path.covering(&conv.weight, settings.stride) {
         Path::Fused => fused::conv_norm(x, conv, settings),
         Path::Composite => composite::conv_norm(x, conv, settings),
     }
@@ -87,7 +92,7 @@ pub fn conv_norm(path: Path, x: Tensor<4>, conv: ConvNorm, settings: NormSetting
 /// The residual unit: `x + expand(squeeze(x))`, a 1x1 and a 3x3 convolution, each normalised and activated.
 #[must_use]
 pub fn residual(path: Path, x: Tensor<4>, squeeze: ConvNorm, expand: ConvNorm, settings: NormSettings) -> (Tensor<4>, [Statistics; 2]) {
-    match path {
+    match path.covering(&squeeze.weight, settings.stride).covering(&expand.weight, settings.stride) {
         Path::Fused => fused::residual(x, squeeze, expand, settings),
         Path::Composite => composite::residual(x, squeeze, expand, settings),
     }
@@ -96,7 +101,7 @@ pub fn residual(path: Path, x: Tensor<4>, squeeze: ConvNorm, expand: ConvNorm, s
 /// A convolution with bias and no activation: a head. Stride 1.
 #[must_use]
 pub fn conv_bias(path: Path, x: Tensor<4>, weight: Tensor<4>, bias: Tensor<1>) -> Tensor<4> {
-    match path {
+    match path.covering(&weight, 1) {
         Path::Fused => fused::conv_bias(x, weight, bias),
         Path::Composite => composite::conv_bias(x, weight, bias),
     }

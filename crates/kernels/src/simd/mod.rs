@@ -104,7 +104,8 @@ macro_rules! dispatch {
             // SAFETY: as above.
             unsafe { $body::<$crate::simd::avx2::Avx2>($($arg),*) }
         }
-        // SAFETY: the instruction set was detected on this machine (`Isa::available`).
+        assert!($isa <= $crate::simd::Isa::detect(), "{:?} is not there", $isa);
+        // SAFETY: the instruction set is not above the best one detected on this machine, and each one includes those below it.
         unsafe {
             match $isa {
                 #[cfg(target_arch = "x86_64")]

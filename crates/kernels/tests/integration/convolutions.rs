@@ -122,3 +122,20 @@ fn shapes_of_the_network() {
         check(ConvShape { batch: 2, height, width: height, in_channels: cin, out_channels: cout, kernel, stride }, 3);
     }
 }
+
+#[test]
+fn any_kernel_as_one_product() {
+    for (kernel, stride) in [(1, 1), (1, 2), (3, 1), (3, 2), (5, 1), (5, 2), (7, 2)] {
+        let shape = ConvShape { batch: 2, height: 9, width: 11, in_channels: 3, out_channels: 5, kernel, stride };
+        let (x, w, r) = (noise(shape.input_len(), 1), noise(shape.weight_len(), 2), noise(shape.output_len(), 3));
+        let bias = noise(5, 4);
+        let mut got = vec![0.0; shape.output_len()];
+        conv::forward_plain(&shape, &x, &w, conv::Epilogue { bias: &bias, slope: 0.1, residual: Some(&r) }, &mut got);
+        let plain = reference::forward(&shape, &x, &w);
+        let finish = |(at, z): (usize, f64)| {
+            let z = z + f64::from(bias[at % 5]);
+            z.max(0.1 * z) + f64::from(r[at])
+        };
+        close(&got, &plain.into_iter().enumerate().map(finish).collect::<Vec<_>>(), "plain");
+    }
+}

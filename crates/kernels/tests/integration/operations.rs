@@ -108,6 +108,18 @@ proptest! {
     }
 }
 
+/// There are no fast kernels for these: the composite runs in their place.
+#[test]
+fn other_kernels_run_too() {
+    let device = Device::flex().autodiff();
+    for (kernel, stride) in [(5, 1), (7, 2), (1, 2)] {
+        let x = noise([2, 9, 7, 5], 3, -1.0, 1.0, &device);
+        let p = parameters(5, 6, kernel, 4, &device);
+        let run = |path| ops::conv_norm(path, x.clone(), p.clone(), settings(stride, true)).0;
+        same(run(Path::Fused), run(Path::Composite), "output");
+    }
+}
+
 #[test]
 fn a_seed_hands_its_gradient_on() {
     let device = Device::flex().autodiff();

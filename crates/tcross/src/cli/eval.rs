@@ -1,5 +1,5 @@
 //! `tcross eval TRUTH DETECTIONS...`
-use super::{ConfigArgs, Part, eval_coco, example, must_exist};
+use super::{ConfigArgs, Part, eval_coco, example, must_exist, refuse};
 use crate::{
     config, console,
     exit::{Failure, Outcome},
@@ -16,10 +16,10 @@ const EXAMPLE: &str = "eval data/hand-drawn detections.jsonl --protocol paper,co
 #[command(after_help = example(EXAMPLE))]
 pub struct Args {
     /// A dataset's folder, one of its lists, or COCO's instances as .json (then DETECTIONS are COCO's results)
-    #[arg(required_unless_present = "sweep")]
+    #[arg(required_unless_present_any = ["sweep", "print_config"])]
     truth: Option<PathBuf>,
     /// Files of detections; several are compared
-    #[arg(required_unless_present = "sweep")]
+    #[arg(required_unless_present_any = ["sweep", "print_config"])]
     detections: Vec<PathBuf>,
     /// What to compute: paper, coco, pose
     #[arg(long, value_delimiter = ',', value_name = "P", value_parser = protocol)]
@@ -70,14 +70,18 @@ pub fn run(args: Args) -> Outcome {
     })?;
     let Some(config) = config else { return Ok(()) };
     if let Some(truth) = args.truth.as_deref().filter(|truth| eval_coco::is_instances(truth)) {
-        let unfit = !args.sweep.is_empty() || !args.validation.is_empty() || args.protocol.iter().any(|p| *p != Protocol::Coco);
-        if unfit {
-            return Err(Failure::usage(format!(
-                "{}: COCO's files are scored by --protocol coco alone; `tcross dataset convert --to native` makes a dataset of them",
-                truth.display()
-            )));
-        }
-        return eval_coco::run(truth, &args.detections, args.out.as_deref());
+        let idle = [
+            ("--protocol", args.protocol.iter().any(|p| *p != Protocol::Coco)),
+            ("--split", args.split.is_some()),
+            ("--sweep", !args.sweep.is_empty()),
+            ("--validation", !args.validation.is_empty()),
+            ("--thresholds", !args.thresholds.is_empty()),
+            ("--config", args.config.is_some()),
+            ("--set", !args.config_args.set.is_empty()),
+        ];
+        let why = "COCO's files are scored by --protocol coco alone; `tcross dataset convert --to native` makes a dataset of them";
+        refuse(idle, format_args!("{}: {why}", truth.display()))?;
+        return eval_coco::run(truth, &args.detections, args.out.as_deref(), args.lenient);
     }
     let mut provenance = work::provenance();
     let truth = match &args.truth {
@@ -85,8 +89,8 @@ pub fn run(args: Args) -> Outcome {
         None => Truth::new(Vec::new(), Default::default(), None),
     };
     let mut evaluations = Vec::new();
-    for path in &args.detections {
-        evaluations.push(score(&truth, path, &name_of(path, &args.detections), &config.eval, args.lenient, &mut provenance)?);
+    for (path, name) in args.detections.iter().zip(names_of(&args.detections)) {
+        evaluations.push(score(&truth, path, &name, &config.eval, args.lenient, &mut provenance)?);
     }
     let validations = validations(&args, &config.eval, &mut provenance)?;
     let sweeps = sweeps(&args, &config.eval, &mut provenance)?;
@@ -105,7 +109,7 @@ pub fn run(args: Args) -> Outcome {
     match &args.out {
         Some(out) => {
             built.write(out)?;
-            for named in built.tables.iter().filter(|t| ["headline", "min-side", "sweeps"].contains(&t.key.as_str())) {
+            for named in built.tables.iter().filter(|t| work::SHORT_TABLES.contains(&t.key.as_str())) {
                 console::result(&format!("{}\n", named.table.markdown()));
             }
             console::note(&format!("{}", out.join("report.html").display()));
@@ -122,6 +126,9 @@ pub fn run(args: Args) -> Outcome {
 /// Opens a truth and notes what it is.
 fn open(path: &Path, part: Option<Part>, provenance: &mut Vec<(String, String)>) -> Outcome<Truth> {
     must_exist(path, "dataset or list")?;
+    if path.is_file() {
+        refuse([("--split", part.is_some())], format_args!("{} is the list of one split", path.display()))?;
+    }
     let truth = match part {
         Some(Part::All) => Truth::open_all(path)?,
         Some(Part::One(split)) => Truth::open(path, Some(split))?,
@@ -151,10 +158,11 @@ fn score(
 /// The curves over one-factor datasets.
 fn sweeps(args: &Args, config: &tcross_eval::Config, provenance: &mut Vec<(String, String)>) -> Outcome<Vec<Sweep>> {
     let paths: Vec<PathBuf> = args.sweep.chunks(3).map(|s| PathBuf::from(&s[2])).collect();
+    let names = names_of(&paths);
     let one = |(k, words): (usize, &[String])| {
         let factor: Factor = words[0].parse().map_err(|e| Failure::usage(format!("--sweep: {e}")))?;
         let truth = open(Path::new(&words[1]), args.split, provenance)?;
-        let evaluation = score(&truth, &paths[k], &name_of(&paths[k], &paths), config, args.lenient, provenance)?;
+        let evaluation = score(&truth, &paths[k], &names[k], config, args.lenient, provenance)?;
         Ok(sweep(&truth, &evaluation, factor)?)
     };
     args.sweep.chunks(3).enumerate().map(one).collect()
@@ -170,16 +178,48 @@ fn validations(args: &Args, config: &tcross_eval::Config, provenance: &mut Vec<(
         return Err(Failure::usage(format!("--validation: {n} files for {of} of DETECTIONS; give one for each, in the same order")));
     }
     let Some(path) = &args.truth else { return Err(Failure::usage("--validation needs TRUTH and DETECTIONS")) };
-    let dir = if path.is_file() { path.parent().unwrap_or(Path::new(".")) } else { path };
+    let dir = if path.is_file() { files::folder_of(path) } else { path };
     let truth = open(dir, Some(Part::One(Split::Val)), provenance)?;
     let config = config.for_a_threshold();
     args.validation.iter().map(|path| score(&truth, path, "validation", &config, args.lenient, provenance)).collect()
 }
 
-/// The file's name without its ending, or its folder's where several files have one name.
-pub(super) fn name_of(path: &Path, all: &[PathBuf]) -> String {
-    let stem = |p: &Path| p.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let alone = all.iter().filter(|p| stem(p) == stem(path)).count() == 1;
-    let folder = path.parent().and_then(Path::file_name).map(|n| n.to_string_lossy().into_owned());
-    if alone { stem(path) } else { folder.unwrap_or_else(|| path.display().to_string()) }
+/// What files are called, no two alike: by their names without ending; those that share one by as many of their folders as
+/// tell them apart, and by a number where the folders do not.
+pub(super) fn names_of(files: &[PathBuf]) -> Vec<String> {
+    let name = |(path, depth): (&PathBuf, &usize)| {
+        let folders: Vec<_> = path.parent().into_iter().flat_map(Path::iter).map(|f| f.to_string_lossy()).collect();
+        match folders.len().min(*depth) {
+            0 => path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+            depth => folders[folders.len() - depth..].join("/"),
+        }
+    };
+    let deepest = files.iter().map(|path| path.iter().count()).max().unwrap_or(0);
+    let mut depths = vec![0; files.len()];
+    loop {
+        let names: Vec<String> = files.iter().zip(&depths).map(name).collect();
+        let shared = |k: &usize| names.iter().filter(|other| **other == names[*k]).count() > 1;
+        let alike: Vec<usize> = (0..files.len()).filter(shared).collect();
+        if alike.iter().all(|k| depths[*k] >= deepest) {
+            let numbered = |k: usize| if alike.contains(&k) { format!("{} {}", names[k], k + 1) } else { names[k].clone() };
+            return (0..files.len()).map(numbered).collect();
+        }
+        alike.into_iter().for_each(|k| depths[k] += 1);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_files_are_told_apart() {
+        let names = |files: &[&str]| names_of(&files.iter().map(PathBuf::from).collect::<Vec<_>>());
+        assert_eq!(names(&["runs/a/ours.jsonl", "theirs.jsonl"]), ["ours", "theirs"]);
+        assert_eq!(names(&["runs/a/found.jsonl", "runs/b/found.jsonl", "ours.jsonl"]), ["a", "b", "ours"]);
+        assert_eq!(names(&["x/a/found.jsonl", "y/a/found.jsonl"]), ["x/a", "y/a"]);
+        assert_eq!(names(&["x/b.jsonl", "b/found.jsonl", "c/found.jsonl"]), ["x", "b", "c"]);
+        assert_eq!(names(&["found.jsonl", "a/found.jsonl"]), ["found", "a"]);
+        assert_eq!(names(&["a/found.jsonl", "a/found.json"]), ["a 1", "a 2"]);
+    }
 }

@@ -1,5 +1,5 @@
 //! `tcross infer MODEL INPUT...`
-use super::{ConfigArgs, Part, example, must_exist};
+use super::{ConfigArgs, Part, example, must_exist, refuse};
 use crate::{
     console,
     exit::{Failure, Outcome},
@@ -17,7 +17,7 @@ const EXAMPLE: &str = "infer runs/quickstart/run photos/ --out detections.jsonl 
 pub struct Args {
     /// MODEL: a run's folder, a .safetensors file with its model.toml, or a Darknet .cfg with its .weights beside it (left
     /// out with --boxes). INPUT: images, folders, a dataset, a video, or a camera (camera:0, /dev/video0, rtsp://...)
-    #[arg(required = true, value_name = "MODEL INPUT", num_args = 1..)]
+    #[arg(required_unless_present = "print_config", value_name = "MODEL INPUT", num_args = 1..)]
     model_and_inputs: Vec<PathBuf>,
     /// Detections file to write; without it they go to stdout
     #[arg(long, value_name = "F.jsonl")]
@@ -108,6 +108,7 @@ pub fn run(args: Args) -> Outcome {
     };
     let report = match videos.as_slice() {
         [] => {
+            refuse([("--fps", args.fps.is_some()), ("--smooth", args.smooth)], "INPUT is neither a video nor a camera")?;
             let source = match args.split {
                 Some(Part::All) => work::all_splits(inputs)?,
                 Some(Part::One(split)) => Source::open(inputs, Some(split))?,
@@ -116,6 +117,7 @@ pub fn run(args: Args) -> Outcome {
             work::infer(&mut boxes, &source, &config.infer, &options, show)?
         }
         [input] if inputs.len() == 1 => {
+            refuse([("--split", args.split.is_some())], "INPUT is a video or a camera, not a dataset")?;
             let report = work::watch(&mut boxes, input, args.fps, &config.infer, &options, show)?;
             console::note(&video_summary(&report));
             report.run

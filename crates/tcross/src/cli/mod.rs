@@ -118,7 +118,7 @@ fn usage(error: &clap::Error) -> Outcome {
 
 /// `COMMAND ` as typed, for hints.
 fn typed_command() -> String {
-    let words: Vec<String> = std::env::args().skip(1).take_while(|w| !w.starts_with('-')).collect();
+    let words = std::env::args_os().skip(1).map(|w| w.to_string_lossy().into_owned()).take_while(|w| !w.starts_with('-'));
     let mut at = Cli::command();
     let mut path = String::new();
     for word in words {
@@ -193,6 +193,14 @@ fn must_exist(path: &Path, what: &str) -> Outcome {
         return Ok(());
     }
     Err(Failure::new(format!("{}: no such {what}{}", path.display(), nearest::path_hint(path))))
+}
+
+/// Refuses options that were given where they do nothing, and says why they do not.
+fn refuse<'a>(options: impl IntoIterator<Item = (&'a str, bool)>, why: impl std::fmt::Display) -> Outcome {
+    match options.into_iter().find(|(_, given)| *given) {
+        Some((option, _)) => Err(Failure::usage(format!("{option} does nothing here: {why}"))),
+        None => Ok(()),
+    }
 }
 
 /// Asks for an option that the command cannot do without.

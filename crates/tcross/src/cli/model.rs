@@ -9,6 +9,7 @@ use std::{
     fmt::Write,
     path::{Path, PathBuf},
 };
+use tcross_dataset::files;
 use tcross_yolo::{Model, model::ExportFormat, weights::darknet};
 
 const IMPORT: &str = "model import yolov3-tiny.cfg --out models/coco";
@@ -72,7 +73,7 @@ pub fn run(args: Args) -> Outcome {
             let out = required(&out, "--out DIR", IMPORT)?;
             must_exist(&model, "model")?;
             let (model, loaded) = Model::import(&model, cfg.as_deref(), 0)?;
-            tcross_dataset::files::create_dir(out)?;
+            files::create_dir(out)?;
             model.save(out.join("best.safetensors"))?;
             let rest = if loaded.is_all() { "" } else { "; the others are random: train before use" };
             console::note(&format!("{}: {}; {loaded}{rest}", out.display(), model.config.summary()));
@@ -81,9 +82,7 @@ pub fn run(args: Args) -> Outcome {
         What::Export { model, to, out, folded, cut } => {
             let out = required(&out, "--out FILE", EXPORT)?;
             let model = load(&model)?;
-            if let Some(folder) = out.parent().filter(|p| !p.as_os_str().is_empty()) {
-                tcross_dataset::files::create_dir(folder)?;
-            }
+            files::create_dir(files::folder_of(out))?;
             if let Some(layers) = cut {
                 return write_cut(&model, to, layers, out);
             }
@@ -122,12 +121,11 @@ fn info(model: &Model) -> Outcome<String> {
     let rows = tcross_yolo::model::info(config)?;
     let (parameters, flops) = rows.iter().fold((0, 0), |(p, f), r| (p + r.parameters, f + r.flops));
     let mut text = format!("{}, input {}, boxes {:?}\n", config.summary(), config.input, config.boxes).to_lowercase();
-    let _ = writeln!(
-        text,
-        "{parameters} parameters, {:.3} GFLOP an image; the backbone is layers 0-{}",
-        flops as f64 / 1e9,
-        config.graph()?.backbone() - 1
-    );
+    let backbone = match config.graph()?.backbone() {
+        0 => "there is no backbone".into(),
+        layers => format!("the backbone is layers 0-{}", layers - 1),
+    };
+    let _ = writeln!(text, "{parameters} parameters, {:.3} GFLOP an image; {backbone}", flops as f64 / 1e9);
     let geometry = config.geometry(config.input);
     for head in &geometry.heads {
         let anchors: Vec<String> = head.mask.iter().map(|&m| config.anchors[m]).map(|[w, h]| format!("{w}x{h}")).collect();

@@ -4,6 +4,30 @@ use crate::config::{Config, Expect};
 use serde_json::Value;
 use tcross_eval::table::{Cell, Table};
 
+/// Segments of a metric's path that say: less is better.
+const LESS_IS_BETTER: [&str; 20] = [
+    "fp",
+    "fn",
+    "percent_fn",
+    "duplicates",
+    "fp_per_image",
+    "fp_per_1000_without_marker",
+    "ece",
+    "errors",
+    "problems",
+    "center_percent",
+    "center_px",
+    "angle_deg",
+    "corner_percent",
+    "corner_px",
+    "wrong_orientation",
+    "missed",
+    "refused",
+    "reasons",
+    "false_poses",
+    "ms",
+];
+
 /// One expected result of one row.
 pub struct Expectation<'a> {
     row: &'a str,
@@ -54,8 +78,7 @@ fn look_up(block: &Value, expect: &Expect) -> Option<f64> {
 impl Expectation<'_> {
     /// True where less is better.
     fn less(&self) -> bool {
-        let metric = &self.expect.metric;
-        ["fp", "fn", "percent_fn", "ece"].iter().any(|m| metric.split('.').next_back() == Some(m)) || metric.contains("error")
+        self.expect.metric.split('.').any(|segment| LESS_IS_BETTER.contains(&segment))
     }
 
     /// The worst value that is still good enough.
@@ -141,5 +164,37 @@ mod tests {
         assert!(line("recall", 0.97).contains("NOT met"));
         assert!(line("fp", 2.0).contains("NOT met"));
         assert!(line("nonsense", 2.0).contains("not among"));
+    }
+
+    #[test]
+    fn errors_and_costs_are_wanted_small() {
+        let less = |metric: &str| Expectation { row: "ours", expect: &expect(metric, 0.0, None), found: None }.less();
+        for metric in [
+            "fp",
+            "percent_fn",
+            "paper.headline.fn",
+            "paper.rows.0.duplicates",
+            "paper.calibration.ece",
+            "paper.errors.missed",
+            "paper.fp_per_1000_without_marker.value",
+            "pose.angle_deg.p95",
+            "pose.center_percent.median",
+            "pose.center_px.mean",
+            "pose.corner_percent.p95",
+            "pose.corner_px.median",
+            "pose.wrong_orientation",
+            "pose.missed",
+            "pose.refused",
+            "pose.false_poses",
+            "points.0.fp_per_image",
+            "ms.network",
+        ] {
+            assert!(less(metric), "{metric}");
+        }
+        for metric in
+            ["mean_iou", "recall", "f1", "coco.ap50", "pose.recovered", "pose.quad_iou.median", "pose.within_tight", "paper.froc_area"]
+        {
+            assert!(!less(metric), "{metric}");
+        }
     }
 }

@@ -19,6 +19,7 @@ use std::{
 };
 use tcross_datagen::{GenerateOptions, manifest::fingerprint};
 use tcross_dataset::{Split, files};
+use tcross_eval::report::slug;
 use tcross_infer::{Boxes, Detector, Source};
 
 /// One of the four.
@@ -99,6 +100,11 @@ impl Row {
 
 /// Runs an experiment.
 pub fn reproduce(config: &Config, origin: &Path, out: &Path, plan: Plan) -> Outcome {
+    let names = names(config);
+    if let Some(wanted) = config.expect.iter().filter_map(|e| e.run.as_deref()).find(|wanted| !names.contains(wanted)) {
+        let hint = nearest::hint(wanted, names.iter().copied());
+        return Err(Failure::new(format!("{}: expect: no run '{wanted}'{hint}", origin.display())));
+    }
     let rows = rows(&chosen(config, &plan.rows)?, origin, out)?;
     if !plan.dry_run {
         files::create_dir(out)?;
@@ -114,6 +120,14 @@ pub fn reproduce(config: &Config, origin: &Path, out: &Path, plan: Plan) -> Outc
     job.report(&title, config)
 }
 
+/// What the rows of a config are called.
+fn names(config: &Config) -> Vec<&str> {
+    match config.run.as_slice() {
+        [] => vec![config.eval.paper.as_ref().map_or("ours", |paper| paper.row.as_str())],
+        runs => runs.iter().map(|run| run.name.as_str()).collect(),
+    }
+}
+
 /// The config with the named rows only, and those whose networks they use.
 fn chosen(config: &Config, names: &[String]) -> Outcome<Config> {
     let known = || config.run.iter().map(|r| r.name.as_str());
@@ -121,16 +135,21 @@ fn chosen(config: &Config, names: &[String]) -> Outcome<Config> {
         let hint = nearest::hint(stranger, known());
         return Err(Failure::usage(format!("--row {stranger}: the config has no such row{hint}")));
     }
-    let lenders: Vec<&String> = config.run.iter().filter(|r| names.contains(&r.name)).filter_map(|r| r.network_of.as_ref()).collect();
-    let wanted = |name: &String| names.is_empty() || names.contains(name) || lenders.contains(&name);
-    Ok(Config { run: config.run.iter().filter(|r| wanted(&r.name)).cloned().collect(), ..config.clone() })
+    let mut wanted = names.to_vec();
+    // Backwards, for lenders stand before those who borrow of them.
+    for run in config.run.iter().rev() {
+        if wanted.contains(&run.name) {
+            wanted.extend(run.network_of.clone());
+        }
+    }
+    Ok(Config { run: config.run.iter().filter(|r| names.is_empty() || wanted.contains(&r.name)).cloned().collect(), ..config.clone() })
 }
 
 /// The rows of a config, each with its own effective config.
 fn rows(config: &Config, origin: &Path, out: &Path) -> Outcome<Vec<Row>> {
     let base = Config { run: Vec::new(), expect: Vec::new(), extends: Extends::default(), ..config.clone() };
     if config.run.is_empty() {
-        let name = base.eval.paper.as_ref().map_or_else(|| "ours".to_owned(), |p| p.row.clone());
+        let name = names(&base)[0].to_owned();
         return Ok(vec![Row { name, dir: out.to_owned(), config: base, network_of: None }]);
     }
     let mut rows: Vec<Row> = Vec::new();
@@ -140,14 +159,15 @@ fn rows(config: &Config, origin: &Path, out: &Path) -> Outcome<Vec<Row>> {
         if rows.iter().any(|r| r.dir == dir) {
             return Err(Failure::new(format!("{place}: another run has this name; name each differently")));
         }
-        let names: Vec<&str> = rows.iter().map(|r| r.name.as_str()).collect();
-        let network_of = match &run.network_of {
-            None => None,
-            Some(wanted) => Some(names.iter().position(|n| n == wanted).ok_or_else(|| {
-                let hint = nearest::hint(wanted, names.iter().copied());
-                Failure::new(format!("{place}: network_of '{wanted}' is no earlier run{hint}"))
-            })?),
+        // Only earlier runs lend, so that no circle can arise; one that borrows itself hands on what it has borrowed.
+        let lender = |wanted: &String| match rows.iter().position(|r| r.name == *wanted) {
+            Some(lender) => Ok(rows[lender].network_of.unwrap_or(lender)),
+            None => {
+                let hint = nearest::hint(wanted, rows.iter().map(|r| r.name.as_str()));
+                Err(Failure::new(format!("{place}: network_of '{wanted}' is no earlier run{hint}")))
+            }
         };
+        let network_of = run.network_of.as_ref().map(lender).transpose()?;
         let config = config::with(&base, &run.set, &place)?;
         config.validate().map_err(|e| Failure::new(format!("{place}: {e}")))?;
         rows.push(Row { name: run.name.clone(), dir, config, network_of });
@@ -221,7 +241,11 @@ impl Job<'_> {
         let data = || digest_of_files(&row.results(Stage::Data)).unwrap_or_default();
         let parts = match stage {
             Stage::Data => vec![fingerprint(&c.data, c.seed, &work::backgrounds(c)?)],
-            Stage::Train => vec![config::digest_of(&c.model)?, config::digest_of(&c.train)?, c.seed.to_string(), data()],
+            Stage::Train => {
+                let init = c.train.init.as_ref().map(|file| files::digest(file).unwrap_or_default());
+                let parts = [config::digest_of(&c.model)?, config::digest_of(&c.train)?, c.seed.to_string(), data()];
+                parts.into_iter().chain(init).collect()
+            }
             Stage::Infer => {
                 let network = &self.rows[row.network_of.unwrap_or(index)];
                 vec![config::digest_of(&c.infer)?, digest_of_files(&network.results(Stage::Train)).unwrap_or_default(), data()]
@@ -254,6 +278,10 @@ impl Job<'_> {
             console::note("eval: still matches, skipped");
         } else {
             let start = Instant::now();
+            let known = self.ledger.get(key).is_some();
+            self.ledger.set(key, Entry { inputs: inputs.clone(), outputs: None, seconds: None })?;
+            // What an earlier report has drawn of other rows or protocols is not of this one.
+            ["tables", "figures", "galleries"].iter().try_for_each(|part| clear(&self.out.join("eval").join(part), known))?;
             report::write(title, config, self.rows, &self.ledger, self.out)?;
             self.ledger.set(key, Entry { inputs, outputs: digest_of_files(&results), seconds: Some(start.elapsed().as_secs_f64()) })?;
         }
@@ -333,11 +361,4 @@ fn infer(row: &Row, network: &Row) -> Outcome {
         console::note(&format!("infer: {split}: {} images, {} detections", report.images, report.detections));
     }
     Ok(())
-}
-
-/// A name as a folder: letters and digits, everything else a dash.
-fn slug(name: &str) -> String {
-    let words: Vec<String> =
-        name.to_lowercase().split(|c: char| !c.is_alphanumeric()).filter(|w| !w.is_empty()).map(str::to_owned).collect();
-    words.join("-")
 }

@@ -8,7 +8,7 @@ use crate::{
     config::Config,
     console,
     exit::{Failure, Outcome},
-    nearest, work,
+    work,
 };
 use serde_json::Value;
 use std::path::Path;
@@ -78,17 +78,12 @@ fn curves(row: &Row, several: bool) -> Option<Extra> {
 
 /// Prints the tables and the verdicts from the files.
 pub fn print(config: &Config, rows: &[Row], out: &Path) -> Outcome {
-    let tables = ["headline", "min-side", "sweeps"].map(|key| out.join(format!("eval/tables/{key}.md")));
+    let tables = work::SHORT_TABLES.map(|key| out.join(format!("eval/tables/{key}.md")));
     for table in tables.iter().filter(|t| t.is_file()) {
         console::result(&format!("{}\n", files::read_text(table)?));
     }
     let path = out.join("eval/metrics.json");
     let metrics: Value = serde_json::from_str(&files::read_text(&path)?).map_err(|e| Failure::new(format!("{}: {e}", path.display())))?;
-    for expect in &config.expect {
-        if let Some(wanted) = expect.run.as_deref().filter(|n| rows.iter().all(|r| r.name != *n)) {
-            console::warn(&format!("expect: no run '{wanted}'{}", nearest::hint(wanted, rows.iter().map(|r| r.name.as_str()))));
-        }
-    }
     expectations(config, rows, &metrics).iter().for_each(|e| console::result(&e.line()));
     console::note(&format!("{}", out.join("report.html").display()));
     Ok(())

@@ -47,7 +47,18 @@ fn shards_become_the_whole_and_are_what_they_were() {
         assert!(a.1 == b.1, "{} differs:\n{}\n{}", a.0, String::from_utf8_lossy(&a.1), String::from_utf8_lossy(&b.1));
     }
     assert!(merge(&["0", "2"], "half").error(1).contains("shards 1/3 are missing"));
+    assert!(!at("half").exists(), "nothing is written of what is not whole");
     assert!(merge(&["0", "1", "2"], "merged").error(1).contains("is not empty"));
+
+    // Each shard names the broken photos that it met.
+    for (shard, photos) in [("0", "'b.jpg', 'c.jpg'"), ("2", "'a.jpg', 'c.jpg'")] {
+        let path = at(shard).join("dataset.toml");
+        let text = std::fs::read_to_string(&path).unwrap();
+        std::fs::write(&path, text.replace("skipped = []", &format!("skipped = [{photos}]"))).unwrap();
+    }
+    merge(&["0", "1", "2"], "broken").good();
+    let manifest: toml::Table = toml::from_str(&std::fs::read_to_string(at("broken/dataset.toml")).unwrap()).unwrap();
+    assert_eq!(manifest["backgrounds"]["skipped"].to_string(), r#"["a.jpg", "b.jpg", "c.jpg"]"#);
 
     let verify = || tcross(["dataset".into(), "verify".into(), word(&at("merged"))]);
     assert!(verify().good().stderr.contains("as they were written"));

@@ -1,5 +1,5 @@
 //! `eval` from the command line: least sizes, sweeps, the threshold that validation chose.
-use crate::{tcross, word};
+use crate::{tcross, tcross_in, word};
 use std::{fmt::Write, path::Path};
 
 /// 60 images of a split with one marker each, of 10 to 39 px, more and more blurred, found below 24 px only where its number is
@@ -63,6 +63,26 @@ fn least_sizes_and_the_threshold_of_validation() {
     assert!(message.contains("2 files for 1 of DETECTIONS"), "{message}");
 }
 
+/// A list in the current folder, by its bare name: its dataset is found beside it, and so is the validation split.
+#[test]
+fn bare_names_are_found() {
+    let dir = dataset();
+    std::fs::write(dir.path().join("dataset.toml"), "format = 1\nboxes = \"inclusive\"\n").unwrap();
+    tcross_in(dir.path(), ["eval", "test.jsonl", "found-test.jsonl", "--validation", "found-val.jsonl"]).good();
+}
+
+/// What was not asked for is not reported.
+#[test]
+fn one_protocol_alone() {
+    let dir = dataset();
+    let ran = eval(dir.path(), &[".", "found-test.jsonl", "--protocol", "coco", "--out", "out"]).good();
+    assert!(ran.stdout.contains("AP50") && !ran.stdout.contains("The paper"), "{}", ran.stdout);
+    let page = std::fs::read_to_string(dir.path().join("out/report.html")).unwrap();
+    assert!(page.contains("AP50") && !page.contains("Figure 20") && !page.contains("FROC") && !page.contains("Tables 2 to 7"));
+    let tables: Vec<_> = std::fs::read_dir(dir.path().join("out/tables")).unwrap().map(|e| e.unwrap().file_name()).collect();
+    assert!(tables.iter().all(|name| name.to_str().unwrap().starts_with("coco.")), "{tables:?}");
+}
+
 #[test]
 fn a_sweep_is_a_curve() {
     let dir = dataset();
@@ -111,14 +131,18 @@ fn cocos_files_are_scored_as_they_are() {
     let found = write("found.json", r#"[{"image_id":7,"category_id":1,"bbox":[10,10,40,30],"score":0.9}]"#);
     let strange = write("strange.json", r#"[{"image_id":8,"category_id":1,"bbox":[10,10,40,30],"score":0.9}]"#);
     let eval = |words: &[&str]| tcross(["eval"].iter().chain(words).map(|w| (*w).to_owned()));
-    eval(&[&truth, &found, "--out", &word(&dir.path().join("out"))]).good();
+    let out = word(&dir.path().join("out"));
+    eval(&[&truth, &found, "--out", &out]).good();
     // IoU 0.75: a hit at six of the ten levels.
     let coco = &metrics(dir.path())["coco"];
     assert!((coco["ap"].as_f64().unwrap() - 0.6).abs() < 1e-9 && coco["ap50"].as_f64() == Some(1.0), "{coco}");
     assert!(dir.path().join("out/tables/coco.tex").is_file());
     let ran = eval(&[&truth, &strange]);
     let message = ran.error(1);
-    assert!(message.contains("strange.json") && message.contains("image 8"), "{message}");
+    assert!(message.contains("strange.json: result 0: is of image 8") && message.contains("--lenient"), "{message}");
+    let ran = eval(&[&truth, &strange, "--lenient", "--out", &out]).good();
+    assert_eq!(metrics(dir.path())["problems"], serde_json::json!({"unknown_image": 1}));
+    assert!(ran.stderr.contains("strange.json: 1 lines or boxes for images that the truth lacks"), "{}", ran.stderr);
     let ran = eval(&[&truth, &found, "--protocol", "paper"]);
     let message = ran.error(2);
     assert!(message.contains("--protocol coco"), "{message}");

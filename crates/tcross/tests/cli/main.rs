@@ -15,8 +15,12 @@ use std::{
 
 /// Runs the program in the repository's root.
 fn tcross<S: AsRef<std::ffi::OsStr>>(words: impl IntoIterator<Item = S>) -> Ran {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-    let output = Command::new(env!("CARGO_BIN_EXE_tcross")).args(words).current_dir(root).output().expect("the program starts");
+    tcross_in(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../.."), words)
+}
+
+/// Runs the program in a folder.
+fn tcross_in<S: AsRef<std::ffi::OsStr>>(dir: &Path, words: impl IntoIterator<Item = S>) -> Ran {
+    let output = Command::new(env!("CARGO_BIN_EXE_tcross")).args(words).current_dir(dir).output().expect("the program starts");
     Ran::from(output)
 }
 

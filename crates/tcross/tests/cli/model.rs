@@ -1,5 +1,5 @@
 //! Weights in and out, as a user types it.
-use crate::{tcross, word};
+use crate::{tcross, tcross_in, word};
 use std::path::Path;
 use tcross_yolo::{Architecture, ExportFormat, Model, ModelConfig, Weights};
 
@@ -32,6 +32,28 @@ fn a_model_goes_around_and_comes_back_the_same() {
     assert_eq!(std::fs::read(at("darknet/again.weights")).unwrap(), std::fs::read(at("net.weights")).unwrap());
     tcross(["model", "export", &at("own"), "--to", "onnx", "--out", &at("net.onnx")]).good();
     assert!(std::fs::metadata(at("net.onnx")).unwrap().len() > 4 * 30_000);
+}
+
+#[test]
+fn bare_names_are_looked_for_in_the_current_folder() {
+    let dir = tempfile::tempdir().unwrap();
+    darknet(dir.path());
+    std::fs::rename(dir.path().join("net.weights"), dir.path().join("other.weights")).unwrap();
+    std::fs::rename(dir.path().join("net.names"), dir.path().join("coco.names")).unwrap();
+    let info = tcross_in(dir.path(), ["model", "info", "net.cfg"]).good().stdout;
+    assert!(info.contains("classes: cat, dog"), "{info}");
+}
+
+#[test]
+fn a_network_without_a_backbone_is_shown() {
+    let dir = tempfile::tempdir().unwrap();
+    let cfg =
+        "[net]\nwidth=32\nheight=32\n[convolutional]\nfilters=6\nsize=1\nactivation=linear\n[yolo]\nmask=0\nanchors=10,14\nclasses=1\n";
+    let config = tcross_yolo::weights::cfg::parse("one.cfg", cfg).unwrap();
+    let weights = Weights::init(&config.graph().unwrap(), &config.fields(), &Default::default(), 5);
+    Model { config, weights }.save(dir.path().join("last.safetensors")).unwrap();
+    let info = tcross(["model".into(), "info".into(), word(dir.path())]).good().stdout;
+    assert!(info.contains("there is no backbone"), "{info}");
 }
 
 #[test]

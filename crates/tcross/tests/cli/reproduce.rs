@@ -99,6 +99,78 @@ fn rows_of_a_table_have_folders_and_share_networks() {
     assert!(reproduce(dir.path(), &config, &["--row", "Won"]).error(2).contains("the config has no such row"));
 }
 
+/// A, B that borrows of A, C that borrows of B.
+#[test]
+fn networks_are_lent_along_a_chain_but_not_in_a_circle() {
+    let dir = tempfile::tempdir().unwrap();
+    let rows = "[[run]]\nname='A'\n[[run]]\nname='B'\nnetwork_of='A'\n[[run]]\nname='C'\nnetwork_of='B'\n";
+    let config = format!("{TINY}{rows}");
+    let plan = reproduce(dir.path(), &config, &["--row", "C", "--dry-run"]).good().stdout;
+    let lines: Vec<&str> = plan.lines().filter_map(|l| l.split(':').next()).collect();
+    assert_eq!(lines, ["A/data", "A/train", "A/infer", "B/data", "B/infer", "C/data", "C/infer", "eval"]);
+    let ran = reproduce(dir.path(), &config, &["--row", "C", "--quiet"]).good();
+    assert!(ran.stdout.contains("| C") && !dir.path().join("out/c/run").exists(), "{}", ran.stdout);
+    let circle = reproduce(dir.path(), &config.replace("name='A'", "name='A'\nnetwork_of='C'"), &["--dry-run"]);
+    assert!(circle.error(1).contains("run 'A': network_of 'C' is no earlier run"));
+}
+
+#[test]
+fn an_expected_run_must_exist_before_anything_is_done() {
+    let dir = tempfile::tempdir().unwrap();
+    let config = |run: &str| format!("{}run = \"{run}\"\n{ROWS}", TINY.trim_start());
+    let ran = reproduce(dir.path(), &config("Onne"), &[]);
+    assert!(ran.error(1).contains("tiny.toml: expect: no run 'Onne'; did you mean 'One'?"), "{}", ran.stderr);
+    assert!(!dir.path().join("out").exists());
+    // A row that is not chosen is still a row.
+    reproduce(dir.path(), &config("Two, other data"), &["--row", "One", "--dry-run"]).good();
+}
+
+#[test]
+fn a_report_holds_only_what_was_just_made() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("out");
+    assert!(reproduce(dir.path(), TINY, &[]).good().stdout.contains("short side"));
+    std::fs::write(out.join("eval/mine.txt"), "").unwrap();
+    let second = reproduce(dir.path(), TINY, &["--set", "eval.min_side_px=[]", "--set", "eval.gallery=0"]).good();
+    assert!(second.stderr.contains("infer: still matches") && !second.stdout.contains("short side"), "{}", second.stdout);
+    assert!(!out.join("eval/tables/min-side.md").exists() && !out.join("eval/galleries").exists());
+    assert!(out.join("eval/tables/headline.md").is_file() && out.join("eval/mine.txt").is_file());
+}
+
+/// The file counts that training starts from, not only its name.
+#[test]
+fn other_weights_to_start_from_train_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let start = dir.path().join("start.weights");
+    let init = format!("train.init={}", word(&start));
+    let words = ["--set", &init];
+    std::fs::write(&start, "no weights").unwrap();
+    assert!(reproduce(dir.path(), TINY, &words).error(1).contains("start.weights"));
+    let plan = || reproduce(dir.path(), TINY, &[words[0], words[1], "--dry-run"]).good().stdout;
+    assert!(plan().contains("train: would run (not finished)"), "{}", plan());
+    std::fs::write(&start, "other").unwrap();
+    assert!(plan().contains("train: would run (its inputs changed)"), "{}", plan());
+}
+
+/// Neither a file that is no picture nor one that ends early stops anything; each is named once.
+#[test]
+fn broken_photos_are_warned_of_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = dir.path().join("photos");
+    std::fs::create_dir(&photos).unwrap();
+    for k in 0..6u32 {
+        let pixel = |x: u32, y: u32| image::Rgb([(x * (k + 3)) as u8, (y * (7 - k)) as u8, (x * y * k) as u8]);
+        image::RgbImage::from_fn(160, 120, pixel).save(photos.join(format!("{k}.png"))).unwrap();
+    }
+    std::fs::write(photos.join("none.png"), "no picture").unwrap();
+    let whole = std::fs::read(photos.join("5.png")).unwrap();
+    std::fs::write(photos.join("early.png"), &whole[..whole.len() / 2]).unwrap();
+    let ran = reproduce(dir.path(), TINY, &["--backgrounds", &word(&photos)]).good();
+    for name in ["none.png", "early.png"] {
+        assert_eq!(ran.stderr.matches(&format!("warning: {name}: skipped")).count(), 1, "{}", ran.stderr);
+    }
+}
+
 #[test]
 fn folders_of_others_are_left_alone() {
     let dir = tempfile::tempdir().unwrap();

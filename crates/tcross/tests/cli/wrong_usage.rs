@@ -1,5 +1,5 @@
 //! Wrong words and wrong files: one line that says what, where, and what to do, and the right exit code.
-use crate::{tcross, word};
+use crate::{tcross, tcross_in, word};
 
 #[test]
 fn wrong_words_end_with_2_and_say_what_to_type() {
@@ -64,6 +64,60 @@ fn the_effective_config_is_shown_with_comments() {
             && shown.contains("\nimages = 77\n")
             && shown.contains("\nseed = 9\n")
     );
+}
+
+/// Every command that takes a config shows it, whatever else it would need.
+#[test]
+fn every_command_shows_its_config() {
+    let commands = [("datagen", true), ("train", true), ("infer", false), ("eval", false), ("reproduce", true)];
+    for (command, needs_config) in commands {
+        let words = [command, "--print-config", "--set", "seed=77"];
+        let shown = tcross(words.iter().chain(needs_config.then_some(&"configs/ci.toml"))).good().stdout;
+        assert!(shown.contains("\nseed = 77\n") && shown.contains("\n[eval]\n"), "{command}: {shown}");
+    }
+    let help = tcross(["--help"]).good().stdout;
+    let all =
+        help.lines().skip_while(|l| *l != "Commands:").skip(1).take_while(|l| !l.is_empty()).filter_map(|l| l.split_whitespace().next());
+    for command in all.filter(|command| commands.iter().all(|(known, _)| known != command)) {
+        assert!(!tcross([command, "--help"]).stdout.contains("--print-config"), "{command}");
+    }
+}
+
+/// What is typed and does nothing is a slip, which is told.
+#[test]
+fn idle_options_are_told() {
+    let dir = tempfile::tempdir().unwrap();
+    image::RgbImage::new(8, 8).save(dir.path().join("a.png")).unwrap();
+    let image = r#""image":"a.png","width":8,"height":8"#;
+    std::fs::write(dir.path().join("found.jsonl"), format!("{{{image},\"detections\":[]}}\n")).unwrap();
+    std::fs::write(dir.path().join("test.jsonl"), format!("{{{image},\"markers\":[]}}\n")).unwrap();
+    std::fs::write(dir.path().join("a.toml"), "").unwrap();
+    std::fs::write(dir.path().join("truth.json"), r#"{"images":[],"categories":[],"annotations":[]}"#).unwrap();
+    let cases: [(&[&str], &str); 9] = [
+        (&["infer", "a.png", "--boxes", "found.jsonl", "--fps", "3"], "--fps does nothing here: INPUT is neither a video nor a camera"),
+        (&["infer", "a.png", "--boxes", "found.jsonl", "--smooth"], "--smooth does nothing here"),
+        (&["infer", "camera:9", "--boxes", "found.jsonl", "--split", "val"], "--split does nothing here: INPUT is a video or a camera"),
+        (&["eval", "test.jsonl", "found.jsonl", "--split", "test"], "--split does nothing here: test.jsonl is the list of one split"),
+        (&["eval", "truth.json", "found.jsonl", "--split", "test"], "--split does nothing here: truth.json: COCO's files"),
+        (&["eval", "truth.json", "found.jsonl", "--thresholds", "0.5"], "--thresholds does nothing here"),
+        (&["eval", "truth.json", "found.jsonl", "--config", "a.toml"], "--config does nothing here"),
+        (&["eval", "truth.json", "found.jsonl", "--set", "eval.seed=3"], "--set does nothing here"),
+        (&["eval", "truth.json", "found.jsonl", "--protocol", "paper"], "--protocol does nothing here"),
+    ];
+    for (words, want) in cases {
+        let ran = tcross_in(dir.path(), words);
+        assert!(ran.error(2).contains(want), "{words:?}: {}", ran.stderr);
+    }
+    tcross_in(dir.path(), ["eval", "test.jsonl", "found.jsonl"]).good();
+}
+
+#[cfg(unix)]
+#[test]
+fn words_that_are_no_text_are_told_too() {
+    use std::os::unix::ffi::OsStringExt;
+    let strange = std::ffi::OsString::from_vec(vec![b'x', 0xff]);
+    let ran = tcross(["eval".into(), strange, "--nonsense".into()]);
+    assert!(ran.error(2).contains("'--nonsense'"), "{}", ran.stderr);
 }
 
 #[test]

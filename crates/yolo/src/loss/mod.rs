@@ -271,7 +271,11 @@ pub(crate) mod tests {
     /// The naive twin of what is ignored: every predictor's box against every truth.
     #[test]
     fn exactly_the_overlapping_are_ignored() {
-        let geometry = geometry();
+        [1.0, 2.0].into_iter().for_each(exactly_the_overlapping_are_ignored_at);
+    }
+
+    fn exactly_the_overlapping_are_ignored_at(scale_xy: f32) {
+        let geometry = Geometry { scale_xy, ..geometry() };
         let mut rng = Rng::for_item(8, "test/ignored", 0);
         let mut ignored = 0;
         for ignore_iou in [0.1, 0.3, 0.5, 0.7] {

@@ -231,7 +231,8 @@ impl Section<'_> {
                 self.wrong("classes", format!("a number that fits the {channels} filters before ({classes} classes need {wanted})"))
             );
         }
-        let scale_xy = self.entry("scale_x_y").map_or(Ok(1.0), |(_, v)| v.parse().map_err(|_| self.wrong("scale_x_y", "a number")))?;
+        let scale_xy = self.entry("scale_x_y").map_or(Some(1.0), |(_, v)| v.parse::<f32>().ok());
+        let scale_xy = scale_xy.filter(|scale| (1.0..=3.0).contains(scale)).ok_or_else(|| self.wrong("scale_x_y", "1 to 3"))?;
         Ok((mask, Heads { anchors: pairs.to_vec(), classes, scale_xy }))
     }
 }
@@ -265,7 +266,11 @@ fn build(path: &Path, sections: &[Section]) -> Result<(Graph, Option<Heads>), Yo
             }
             "yolo" => {
                 let (mask, found) = section.yolo(graph.next_channels())?;
-                if heads.get_or_insert_with(|| found.clone()) != &found {
+                let first = heads.get_or_insert_with(|| found.clone());
+                if first.scale_xy != found.scale_xy {
+                    return Err(section.wrong("scale_x_y", format!("{}, as in the first [yolo]", first.scale_xy)));
+                }
+                if *first != found {
                     return Err(section.wrong("anchors", "the same anchors and classes in every [yolo]"));
                 }
                 Layer::Head { mask }
@@ -367,6 +372,8 @@ mod tests {
             ("pad=1", "groups=2", "'groups', which this program does not know"),
             ("[net]\nbatch=1", "[net]\nbatch", "net.cfg:2: 'batch': expected [section] or key=value"),
             ("mask=0,1,2", "mask=4,5,6", "mask=4,5,6: expected indices below 6"),
+            ("random=1", "scale_x_y=4", "scale_x_y=4: expected 1 to 3"),
+            ("random=1", "scale_x_y=2", "[yolo] lacks scale_x_y=: expected 2, as in the first [yolo]"),
         ] {
             assert!(good.contains(from), "{from}");
             let message = parse("net.cfg", &good.replacen(from, to, 1)).unwrap_err().to_string();

@@ -1,15 +1,16 @@
 //! Batch norm folded into its convolution: the same function with fewer numbers, and free of any program's epsilon.
 use super::{ConvWeights, NormWeights, Weights};
 
-/// The same parameters with every batch norm folded into kernel and bias:
-/// `kernel' = kernel s`, `bias' = beta - mean s` with `s = gamma / sqrt(variance + epsilon)` for each output channel.
+/// The same parameters with every batch norm folded into kernel and bias.
 #[must_use]
 pub fn folded(weights: &Weights, epsilon: f64) -> Weights {
     let convolutions = weights.convolutions.iter().map(|convolution| fold(convolution, epsilon)).collect();
     Weights { seen: weights.seen, convolutions }
 }
 
-fn fold(convolution: &ConvWeights, epsilon: f64) -> ConvWeights {
+/// `kernel' = kernel s`, `bias' = beta - mean s` with `s = gamma / sqrt(variance + epsilon)` for each output channel.
+#[must_use]
+pub fn fold(convolution: &ConvWeights, epsilon: f64) -> ConvWeights {
     let Some(NormWeights { gamma, mean, variance }) = &convolution.norm else { return convolution.clone() };
     let scales: Vec<f64> = gamma.iter().zip(variance).map(|(g, v)| f64::from(*g) / (f64::from(*v) + epsilon).sqrt()).collect();
     let channel = convolution.kernel.len() / scales.len().max(1);

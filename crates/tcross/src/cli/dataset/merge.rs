@@ -3,7 +3,10 @@ use crate::{
     console,
     exit::{Failure, Outcome},
 };
-use std::path::{Path, PathBuf};
+use std::{
+    collections::BTreeSet,
+    path::{Path, PathBuf},
+};
 use tcross_datagen::Manifest;
 use tcross_dataset::{Dataset, Split, digest, files, formats::Format, merge::merge};
 
@@ -15,9 +18,9 @@ pub fn run(dirs: &[PathBuf], out: &Path) -> Outcome {
         super::must_exist(dir, "dataset")?;
         sets.push((dir.as_path(), Format::Native.read(dir)?));
     }
-    let merged = merge(&sets)?;
+    let (merged, whole) = (merge(&sets)?, whole(dirs)?);
     Format::Native.write(&merged, out)?;
-    if let Some(whole) = whole(dirs)? {
+    if let Some(whole) = whole {
         write_lists(dirs, out)?;
         write_manifest(whole, out)?;
     }
@@ -49,6 +52,9 @@ fn whole(dirs: &[PathBuf]) -> Outcome<Option<Manifest>> {
         return Err(Failure::new(format!("{} datasets are shards of one, but {what}; give each once", dirs.len())));
     }
     let mut whole = Manifest { shard: None, ..first };
+    // Each shard has met only the broken photos that it drew on.
+    let skipped: BTreeSet<&String> = shards.iter().flat_map(|s| &s.backgrounds.skipped).collect();
+    whole.backgrounds.skipped = skipped.into_iter().cloned().collect();
     whole.markers = shards.iter().map(|s| s.markers).sum();
     whole.counts.clear();
     for (split, n) in shards.iter().flat_map(|s| &s.counts) {

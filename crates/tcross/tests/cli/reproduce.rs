@@ -158,8 +158,10 @@ fn broken_photos_are_warned_of_once() {
     let dir = tempfile::tempdir().unwrap();
     let photos = dir.path().join("photos");
     std::fs::create_dir(&photos).unwrap();
-    for k in 0..6u32 {
-        let pixel = |x: u32, y: u32| image::Rgb([(x * (k + 3)) as u8, (y * (7 - k)) as u8, (x * y * k) as u8]);
+    // Patchworks, each its own, and enough of them that no split has only the broken one.
+    for k in 0..24u32 {
+        let shade = |x: u32, y: u32, c: u32| ((x / 20 + 8 * (y / 20) + 64 * k + 2048 * c).wrapping_mul(2_654_435_761) >> 24) as u8;
+        let pixel = |x, y| image::Rgb([shade(x, y, 0), shade(x, y, 1), shade(x, y, 2)]);
         image::RgbImage::from_fn(160, 120, pixel).save(photos.join(format!("{k}.png"))).unwrap();
     }
     std::fs::write(photos.join("none.png"), "no picture").unwrap();

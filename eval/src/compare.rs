@@ -29,6 +29,8 @@ pub struct Difference {
 /// An image on which one run finds more markers, or claims fewer false ones, than the other.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Disagreement {
+    /// Index of the image among the truth's records.
+    pub index: usize,
     /// As in the truth.
     pub image: String,
     /// Markers found by the first and by the second.
@@ -84,7 +86,7 @@ pub fn compare(truth: &Truth, a: &Evaluation, b: &Evaluation) -> Comparison {
     let disagreement = |(k, record): (usize, &tcross_dataset::Record)| {
         let [x, y] = both.map(|e| e.tally_at(k, e.config.threshold));
         let differ = (x.tp, x.fp) != (y.tp, y.fp);
-        differ.then(|| Disagreement { image: record.image.clone(), found: [x.tp, y.tp], fp: [x.fp, y.fp] })
+        differ.then(|| Disagreement { index: k, image: record.image.clone(), found: [x.tp, y.tp], fp: [x.fp, y.fp] })
     };
     let disagreements = truth.records.iter().enumerate().filter_map(disagreement).collect();
     Comparison { first: a.name.clone(), second: b.name.clone(), differences, found_by_one, disagreements }
@@ -127,7 +129,7 @@ mod tests {
         // Unpaired, the interval would be wider than 0.26; paired it is that of ten of a hundred.
         assert!((recall.difference + 0.1).abs() < 1e-12 && hi < 0.0 && hi - lo < 0.14, "{lo} {hi}");
         assert_eq!((c.found_by_one, c.disagreements.len()), ([0, 10], 10));
-        assert_eq!(c.disagreements[0], Disagreement { image: "60".into(), found: [0, 1], fp: [0, 0] });
+        assert_eq!(c.disagreements[0], Disagreement { index: 60, image: "60".into(), found: [0, 1], fp: [0, 0] });
         // A run against itself does not differ at all.
         let a = run(&truth, "a", 0..60, 3);
         let same = compare(&truth, &a, &a);

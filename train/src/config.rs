@@ -214,7 +214,7 @@ pub enum ColorSpace {
     Hsv,
 }
 
-/// Windows: square parts of the images at their own scale, most of them around a marker or something that resembles one. A window holds as much to learn from as the whole
+/// Windows: square parts of the images at their own scale, most of them around a marker. A window holds as much to learn from as the whole
 /// image, at a fraction of its price; the rest of the training then shows the network whole images, with as much background as it will meet.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -223,8 +223,7 @@ pub struct Windows {
     pub until: f64,
     /// Side of a window in pixels of the model's input, a multiple of 32.
     pub side: usize,
-    /// Probability that a window is laid around a marker of its image, or a near miss that its record lists, which is scaled down where it
-    /// would not fit.
+    /// Probability that a window is laid around a marker of its image, which is scaled down where it would not fit.
     pub focus: f64,
 }
 

@@ -38,7 +38,7 @@ impl Record {
     }
 }
 
-/// Something that resembles a marker: training shows it as often as markers, evaluation counts what is found there as false.
+/// Something that resembles a marker and is none: what is found there is a false positive.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Confuser {
     /// The shape's name, such as `cross_in_rectangle`.

@@ -1,5 +1,6 @@
 //! Pictures of a report: whole images and crops, with true and detected boxes drawn on them.
 use crate::{
+    compare::{Comparison, Disagreement},
     evaluation::Evaluation,
     failures::{Failure, Kind, claimed_box},
     matching::by_falling_score,
@@ -42,6 +43,8 @@ const TRUE: [u8; 3] = [0, 114, 178];
 const CLAIMED: [u8; 3] = [213, 94, 0];
 /// Longest side of a whole image in the report, in pixels.
 const WHOLE_PX: u32 = 416;
+/// Between two images side by side, in pixels.
+const GAP_PX: u32 = 8;
 /// Side of a crop in the report, in pixels.
 const CROP_PX: u32 = 192;
 
@@ -58,6 +61,30 @@ pub fn samples(truth: &Truth, evaluation: &Evaluation, count: usize) -> Gallery 
 }
 
 fn sample(truth: &Truth, evaluation: &Evaluation, index: usize) -> Option<Picture> {
+    let (image, scores) = whole(truth, evaluation, index)?;
+    let name = &truth.records[index].image;
+    picture(&image, format!("{name}: {scores}"), stem(index, name))
+}
+
+/// The images on which two runs disagree, those first on which they differ in most boxes: each with the first run's boxes on the left and the
+/// second's on the right.
+#[must_use]
+pub fn disagreements(truth: &Truth, [a, b]: [&Evaluation; 2], comparison: &Comparison, count: usize) -> Gallery {
+    let mut all: Vec<&Disagreement> = comparison.disagreements.iter().collect();
+    all.sort_by_key(|d| std::cmp::Reverse(d.found[0].abs_diff(d.found[1]) + d.fp[0].abs_diff(d.fp[1])));
+    let pictures = all.par_iter().take(count).filter_map(|d| {
+        let ((left, first), (right, second)) = (whole(truth, a, d.index)?, whole(truth, b, d.index)?);
+        let mut both = RgbImage::from_pixel(left.width() + GAP_PX + right.width(), left.height(), Rgb([255; 3]));
+        imageops::replace(&mut both, &left, 0, 0);
+        imageops::replace(&mut both, &right, i64::from(left.width() + GAP_PX), 0);
+        picture(&both, format!("{}: {}: {first}; {}: {second}", d.image, a.name, b.name), stem(d.index, &d.image))
+    });
+    let title = format!("{} (left) and {} (right) disagree", comparison.first, comparison.second);
+    Gallery { key: "disagreements".into(), title, of: all.len(), pictures: pictures.collect() }
+}
+
+/// A whole image with what is true and what is claimed, and the scores in words.
+fn whole(truth: &Truth, evaluation: &Evaluation, index: usize) -> Option<(RgbImage, String)> {
     let record = &truth.records[index];
     let extra = truth.boxes.extra();
     let full = open(truth, index)?;
@@ -69,7 +96,7 @@ fn sample(truth: &Truth, evaluation: &Evaluation, index: usize) -> Option<Pictur
     detections.iter().for_each(|d| outline(&mut image, &d.bounds, [0.0, 0.0], scale, extra, CLAIMED));
     let scores: Vec<String> = by_falling_score(&detections).iter().map(|&k| format!("{:.2}", detections[k].score)).collect();
     let scores = if scores.is_empty() { "no detection".into() } else { format!("score {}", scores.join(", ")) };
-    picture(&image, format!("{}: {scores}", record.image), stem(index, &record.image))
+    Some((image, scores))
 }
 
 /// Crops of the gravest errors of each kind.

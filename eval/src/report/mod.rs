@@ -114,9 +114,13 @@ impl Report<'_> {
         if !by_paper.is_empty() {
             tables.push(NamedTable::new("headline", tables::headline(&by_paper)));
         }
-        let comparisons = self.comparisons();
-        for (k, c) in comparisons.iter().enumerate() {
-            tables.push(NamedTable::new(format!("compare-{}", k + 1), tables::comparison(c)));
+        let mut galleries = Vec::new();
+        for (k, ([a, b], c)) in self.pairs().iter().zip(self.comparisons()).enumerate() {
+            tables.push(NamedTable::new(format!("compare-{}", k + 1), tables::comparison(&c)));
+            let shown = gallery::disagreements(a.truth, [a.evaluation, b.evaluation], &c, a.evaluation.config.gallery);
+            if !shown.pictures.is_empty() {
+                galleries.push(Gallery { key: format!("{}-{}", shown.key, k + 1), ..shown });
+            }
         }
         tables.extend(tables::min_side(&by_paper).map(|t| NamedTable::new("min-side", t)));
         tables.extend(tables::coco(&self.runs).map(|t| NamedTable::new("coco", t)));
@@ -126,7 +130,6 @@ impl Report<'_> {
         }
         tables.extend(sweeps::tables(&self.sweeps));
         figures.extend(sweeps::figures(&self.sweeps));
-        let mut galleries = Vec::new();
         let mut problems = Vec::new();
         for (run, slug) in self.runs.iter().zip(slugs(self.runs.iter().map(|run| run.evaluation.name.as_str()))) {
             let part = build_run(run);
@@ -166,13 +169,17 @@ impl Report<'_> {
         }
     }
 
+    /// Every pair of runs that share one truth.
+    fn pairs(&self) -> Vec<[Run<'_>; 2]> {
+        let runs = self.by_paper();
+        let pairs = runs.iter().enumerate().flat_map(|(k, a)| runs[k + 1..].iter().map(move |b| [*a, *b]));
+        pairs.filter(|[a, b]| std::ptr::eq(a.truth, b.truth)).collect()
+    }
+
     /// Every pair of runs that share one truth, by the paper's protocol.
     #[must_use]
     pub fn comparisons(&self) -> Vec<Comparison> {
-        let runs = self.by_paper();
-        let pairs = runs.iter().enumerate().flat_map(|(k, a)| runs[k + 1..].iter().map(move |b| (a, b)));
-        let shared = pairs.filter(|(a, b)| std::ptr::eq(a.truth, b.truth));
-        shared.map(|(a, b)| compare(a.truth, a.evaluation, b.evaluation)).collect()
+        self.pairs().iter().map(|[a, b]| compare(a.truth, a.evaluation, b.evaluation)).collect()
     }
 
     /// The content of `metrics.json`.

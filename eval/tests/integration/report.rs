@@ -88,6 +88,26 @@ fn writes_what_the_contract_names() {
     assert!(!page.contains("src=\"http") && !page.contains("href="), "nothing beside the page is needed");
 }
 
+/// Two runs beside each other: the images on which they disagree are shown with the boxes of both, the greatest difference first.
+#[test]
+fn disagreements_are_shown() {
+    let folder = tempfile::tempdir().unwrap();
+    dataset(folder.path());
+    let truth = Truth::open(folder.path(), None).unwrap();
+    let mut rows = detections::read(folder.path().join("detections.jsonl")).unwrap();
+    let config = Config { bootstrap_draws: 20, ..Config::default() };
+    let first = evaluate(&truth, "first", rows.clone().into(), &config, false).unwrap();
+    rows[1].detections.clear();
+    let second = evaluate(&truth, "second", rows.into(), &config, false).unwrap();
+    let runs = vec![Run::new(&truth, &first), Run::new(&truth, &second)];
+    let built = Report { title: "t".into(), runs, sweeps: vec![], extras: vec![], provenance: vec![] }.build();
+    let gallery = built.galleries.iter().find(|g| g.key == "disagreements-1").unwrap();
+    assert_eq!((gallery.of, gallery.pictures.len()), (1, 1));
+    let shown = &gallery.pictures[0];
+    assert_eq!((shown.width, shown.height), (60 + 8 + 60, 50));
+    assert!(shown.caption.contains("first: score 0.80; second: no detection"), "{}", shown.caption);
+}
+
 #[test]
 fn the_same_bytes_twice() {
     let folder = tempfile::tempdir().unwrap();

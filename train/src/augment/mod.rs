@@ -28,8 +28,6 @@ pub trait Labels {
     fn count(&self) -> usize;
     /// Of image `index`.
     fn labels(&self, index: usize) -> &[Label];
-    /// Boxes of what resembles a marker in image `index`, and is none.
-    fn confusers(&self, index: usize) -> &[PixelBox];
     /// Size of every image in pixels.
     fn size(&self) -> NetSize;
 }
@@ -229,11 +227,10 @@ impl Draw<'_> {
         Tile { image, placement, window: whole(self.net) }
     }
 
-    /// A window of the input's size onto the image: with probability `focus` around a marker or something that resembles one, else anywhere.
+    /// A window of the input's size onto the image: around a marker with probability `focus`, anywhere else.
     fn part(&mut self, image: usize, focus: f64) -> Placement {
-        let labels = self.set.labels(image).iter().map(|label| label.bounds);
-        let things: Vec<PixelBox> = labels.chain(self.set.confusers(image).iter().copied()).collect();
-        let marker = (self.rng.chance(focus) && !things.is_empty()).then(|| things[self.rng.index(things.len())]);
+        let labels = self.set.labels(image);
+        let marker = (self.rng.chance(focus) && !labels.is_empty()).then(|| labels[self.rng.index(labels.len())].bounds);
         let (size, net) = (self.set.size(), self.net);
         let most = MOST_OF_WINDOW * net.width.min(net.height) as f64;
         let scale = match marker.map(|m| m.width().max(m.height())) {
@@ -328,7 +325,6 @@ mod tests {
     /// Images of one colour with a white rectangle where the label says.
     struct Toy {
         labels: Vec<Vec<Label>>,
-        confusers: Vec<Vec<PixelBox>>,
     }
 
     impl Toy {
@@ -338,7 +334,7 @@ mod tests {
                 let (x, y, w, h) = (rng.int(4, 40), rng.int(4, 40), rng.int(8, 20), rng.int(8, 20));
                 Label { bounds: PixelBox::from([x, y, x + w, y + h].map(|v| v as f64)), class: 0, points: None }
             };
-            Self { labels: (0..count).map(|_| vec![label()]).collect(), confusers: vec![Vec::new(); count] }
+            Self { labels: (0..count).map(|_| vec![label()]).collect() }
         }
 
         fn image(&self, index: usize) -> Arc<Planes> {
@@ -360,9 +356,6 @@ mod tests {
         }
         fn labels(&self, index: usize) -> &[Label] {
             &self.labels[index]
-        }
-        fn confusers(&self, index: usize) -> &[PixelBox] {
-            &self.confusers[index]
         }
         fn size(&self) -> NetSize {
             NetSize::square(64)
@@ -414,21 +407,6 @@ mod tests {
             places.insert((seen.x * 64.0) as i32);
         }
         assert!(scaled > 20 && places.len() > 20, "{scaled} {places:?}");
-    }
-
-    /// What resembles a marker is shown as often, and nothing is to be learned there but that it is none.
-    #[test]
-    fn windows_show_confusers_too() {
-        let mut set = Toy::new(1);
-        set.labels[0][0].bounds = PixelBox::from([2.0, 2.0, 12.0, 12.0]);
-        set.confusers[0].push(PixelBox::from([48.0, 48.0, 60.0, 60.0]));
-        let input = Input { net: NetSize::square(32), view: View::Window { focus: 1.0 }, fraction: 0.0 };
-        let shown = |position| {
-            let plan = Plan::sample(&Augment::default(), &set, 0, input, &mut Rng::for_item(3, "test/confusers", position));
-            plan.render(&set, &mut |i| Some(set.image(i)), &mut vec![0.0; 3 * 32 * 32]).len()
-        };
-        let markers: usize = (0..200).map(shown).sum();
-        assert!((60..140).contains(&markers), "{markers}");
     }
 
     /// Whatever is drawn, each truth lies exactly around white pixels, and there is no white outside the truths that are whole.

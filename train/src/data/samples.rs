@@ -20,7 +20,6 @@ pub struct Samples {
     pub records: Vec<Record>,
     paths: Vec<PathBuf>,
     labels: Vec<Vec<Label>>,
-    confusers: Vec<Vec<PixelBox>>,
     size: NetSize,
     cache: Vec<OnceLock<Arc<Planes>>>,
     cached_bytes: AtomicUsize,
@@ -55,7 +54,6 @@ impl Samples {
             records: Vec::new(),
             paths: Vec::new(),
             labels: Vec::new(),
-            confusers: Vec::new(),
             size,
             cache: Vec::new(),
             cached_bytes: AtomicUsize::new(0),
@@ -68,7 +66,6 @@ impl Samples {
                 None => {
                     samples.paths.push(dataset.image_path(&record));
                     samples.labels.push(labels);
-                    samples.confusers.push(confusers_of(&record, size, extra));
                     samples.records.push(record);
                 }
             }
@@ -91,7 +88,6 @@ impl Samples {
         self.records = chosen.iter().map(|&k| self.records[k].clone()).collect();
         self.paths = chosen.iter().map(|&k| self.paths[k].clone()).collect();
         self.labels = chosen.iter().map(|&k| self.labels[k].clone()).collect();
-        self.confusers = chosen.iter().map(|&k| self.confusers[k].clone()).collect();
         self.cache.truncate(most);
         self
     }
@@ -157,10 +153,6 @@ impl Labels for Samples {
         &self.labels[index]
     }
 
-    fn confusers(&self, index: usize) -> &[PixelBox] {
-        &self.confusers[index]
-    }
-
     fn size(&self) -> NetSize {
         self.size
     }
@@ -206,16 +198,6 @@ fn labels_of(record: &Record, size: NetSize, extra: f64, classes: &[String]) -> 
         Ok(Label { bounds: letterbox.box_to_net(&inside), class: class as u32, points })
     };
     record.markers.iter().enumerate().map(label).collect()
-}
-
-/// Boxes of a record's confusers in the letterboxed image; those without an area in it are passed over.
-fn confusers_of(record: &Record, size: NetSize, extra: f64) -> Vec<PixelBox> {
-    let letterbox = Letterbox::new((record.width as usize, record.height as usize), (size.width, size.height));
-    let inside = record.confusers.iter().map(|c| {
-        let b = c.bounds;
-        PixelBox { x_max: b.x_max + extra, y_max: b.y_max + extra, ..b }.clipped(f64::from(record.width), f64::from(record.height))
-    });
-    inside.filter(|b| b.width() > 0.0 && b.height() > 0.0).map(|b| letterbox.box_to_net(&b)).collect()
 }
 
 /// A marker's centre and corners, where its record tells them; the centre is where the diagonals cross, if it is not told itself.

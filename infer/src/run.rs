@@ -283,11 +283,10 @@ fn poses(found: &mut [Detection]) -> impl Iterator<Item = &mut Pose> {
     found.iter_mut().filter_map(|d| if let Some(PoseOutcome::Found(pose)) = &mut d.pose { Some(&mut **pose) } else { None })
 }
 
-/// Writes the pictures of the paper's steps, a folder for each detection: `DIR/NAME-0/1-crop.png`.
+/// Writes the pictures of the paper's steps, a folder for each detection: `DIR/NAME-0/1-crop.png`, where NAME has its ending.
 fn write_steps(dir: &Path, name: &str, image: &RgbImage, found: &[Detection], config: &Config) -> Result<(), InferError> {
     for (index, detection) in found.iter().enumerate() {
-        let stem = overlay_name(name).with_extension("");
-        let folder = dir.join(format!("{}-{index}", stem.to_string_lossy()));
+        let folder = dir.join(format!("{}-{index}", flat(name)));
         files::create_dir(&folder)?;
         let mut result = Ok(());
         let mut write = |name: &'static str, picture: RgbImage| {
@@ -308,10 +307,15 @@ pub(crate) fn ms_since(start: Instant) -> f64 {
     start.elapsed().as_secs_f64() * 1e3
 }
 
-/// Overlays are flat: `test/00009.jpg` becomes `test-00009.jpg`.
-fn overlay_name(name: &str) -> PathBuf {
-    let flat = name.trim_start_matches(['/', '.']).replace(['/', ':'], "-");
-    PathBuf::from(flat).with_extension("jpg")
+/// An image's name without folders: `test/00009.jpg` becomes `test-00009.jpg`.
+fn flat(name: &str) -> String {
+    name.trim_start_matches(['/', '.']).replace(['/', ':'], "-")
+}
+
+/// Overlays are JPEG files in one folder; those of other kinds keep their own ending before it, so that `a.png` does not overwrite `a.jpg`.
+fn overlay_name(name: &str) -> String {
+    let flat = flat(name);
+    if flat.to_ascii_lowercase().ends_with(".jpg") { flat } else { flat + ".jpg" }
 }
 
 fn save(picture: &RgbImage, path: &Path) -> Result<(), InferError> {
@@ -348,5 +352,16 @@ impl Sink {
     pub(crate) fn finish(mut self) -> Result<(), InferError> {
         self.file.flush().map_err(|e| InferError::io(&self.partial, e))?;
         std::fs::rename(&self.partial, &self.path).map_err(|e| InferError::io(&self.path, e))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn overlays_keep_apart() {
+        let names = ["a.jpg", "a.png", "a.JPG", "test/a.jpg", "../b/a.jpeg", "a.v2.webp"].map(overlay_name);
+        assert_eq!(names, ["a.jpg", "a.png.jpg", "a.JPG", "test-a.jpg", "b-a.jpeg.jpg", "a.v2.webp.jpg"]);
     }
 }

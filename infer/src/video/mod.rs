@@ -19,6 +19,7 @@ use crate::{
 };
 use image::RgbImage;
 use std::{
+    path::{Path, PathBuf},
     sync::{
         atomic::{AtomicBool, AtomicU64, Ordering},
         mpsc::{Receiver, SyncSender, TrySendError, sync_channel},
@@ -98,7 +99,7 @@ pub fn run(
     let mut reader = ffmpeg::Reader::open(input, Some(rate))?;
     let mut sink = options.out.as_deref().map(Sink::create).transpose()?;
     let replacement = options.replace.as_ref().map(|p| read_image(p)).transpose()?;
-    let path = options.overlay.as_ref().map(|dir| dir.join(input.stem()).with_extension("mp4"));
+    let path = options.overlay.as_ref().map(|dir| annotated(dir, input));
     if let Some(dir) = &options.overlay {
         files::create_dir(dir)?;
     }
@@ -181,6 +182,11 @@ pub fn run(
     Ok(report)
 }
 
+/// Where the annotated video goes: what stands after other dots of the name is part of it.
+fn annotated(dir: &Path, input: &Input) -> PathBuf {
+    dir.join(format!("{}.mp4", input.stem()))
+}
+
 /// Hands frames over until there are no more or nobody wants them.
 fn decode(
     reader: &mut ffmpeg::Reader,
@@ -216,7 +222,7 @@ fn decode(
 
 /// Draws and encodes until the last frame; the first frame gives the video's size.
 fn draw(
-    path: &std::path::Path,
+    path: &Path,
     rate: f64,
     frames: Receiver<(RgbImage, Vec<Detection>)>,
     used: &SyncSender<RgbImage>,
@@ -239,4 +245,17 @@ fn draw(
     }
     writer.map_or(Ok(()), ffmpeg::Writer::finish)?;
     Ok(times)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_videos_name_is_kept() {
+        let named = |input: &str| annotated(Path::new("out"), &Input::parse(input).unwrap());
+        assert_eq!(named("clips/clip.v2.mp4"), Path::new("out/clip.v2.mp4"));
+        assert_eq!(named("clip.mov"), Path::new("out/clip.mp4"));
+        assert_eq!(named("camera:0"), Path::new("out/camera-0.mp4"));
+    }
 }

@@ -15,6 +15,7 @@ fn tiny() -> Detector {
 fn unreadable_images_are_skipped_and_named() {
     let dir = tempfile::tempdir().unwrap();
     RgbImage::from_pixel(90, 60, image::Rgb([90, 120, 30])).save(dir.path().join("a.png")).unwrap();
+    RgbImage::from_pixel(40, 40, image::Rgb([30, 120, 30])).save(dir.path().join("a.jpg")).unwrap();
     std::fs::write(dir.path().join("b.jpg"), b"no picture").unwrap();
     RgbImage::from_pixel(33, 70, image::Rgb([9, 20, 30])).save(dir.path().join("c.jpg")).unwrap();
     let out = dir.path().join("out/detections.jsonl");
@@ -30,13 +31,18 @@ fn unreadable_images_are_skipped_and_named() {
         true
     })
     .unwrap();
-    assert_eq!((report.images, report.skipped, report.detections), (2, 1, 10));
-    assert_eq!(report.refused + report.poses, 10);
+    assert_eq!((report.images, report.skipped, report.detections), (3, 1, 15));
+    assert_eq!(report.refused + report.poses, 15);
     assert!(warnings.len() == 1 && warnings[0].contains("b.jpg"), "{warnings:?}");
     let rows = detections::read(&out).unwrap();
-    assert_eq!(rows.iter().map(|r| (r.image.as_str(), r.width, r.height)).collect::<Vec<_>>(), [("a.png", 90, 60), ("c.jpg", 33, 70)]);
+    assert_eq!(
+        rows.iter().map(|r| (r.image.as_str(), r.width, r.height)).collect::<Vec<_>>(),
+        [("a.jpg", 40, 40), ("a.png", 90, 60), ("c.jpg", 33, 70)]
+    );
     assert!(rows.iter().all(|r| r.detections.is_sorted_by(|a, b| a.score >= b.score)));
-    assert!(dir.path().join("overlays/a.jpg").is_file());
+    for (name, width) in [("a.jpg", 40), ("a.png.jpg", 90), ("c.jpg", 33)] {
+        assert_eq!(image::open(dir.path().join("overlays").join(name)).unwrap().width(), width, "{name}");
+    }
     let only = Source::open(&[dir.path().join("b.jpg")], None).unwrap();
     assert!(matches!(run(&mut boxes, &only, &config, &RunOptions::default(), &mut |_| true), Err(InferError::NoneReadable { .. })));
 }
@@ -80,6 +86,26 @@ fn poses_come_from_given_boxes_too() {
     // What is drawn is up to a tenth longer than wide, so a square cannot fit it to better than that.
     let off = pose.reprojection_px.unwrap() / pose.corners.side_px();
     assert!(pose.rotation.is_some() && pose.translation.unwrap()[2] > 0.0 && off < 0.05, "{off} sides");
+    // The cube covers the marker; nothing is drawn far from it.
+    let picture = image::open(drawn_to.path().join("o/x.png.jpg")).unwrap().into_rgb8();
+    assert_eq!(picture.dimensions(), image.dimensions());
+    let (mut on, mut of) = (0, 0);
+    let ([cx, cy], reach) = (drawn.bounds.center(), drawn.bounds.width().max(drawn.bounds.height()));
+    for ((x, y, before), after) in image.enumerate_pixels().zip(picture.pixels()) {
+        let changed = (0..3).any(|c| before[c].abs_diff(after[c]) > 40);
+        let (px, py) = (f64::from(x) + 0.5, f64::from(y) + 0.5);
+        let quad: Vec<[f64; 2]> = drawn.corners.0.iter().map(|p| [0.9 * p[0] + 0.1 * cx, 0.9 * p[1] + 0.1 * cy]).collect();
+        let inside = (0..4).all(|k| {
+            let (a, b) = (quad[k], quad[(k + 1) % 4]);
+            (b[0] - a[0]) * (py - a[1]) - (b[1] - a[1]) * (px - a[0]) > 0.0
+        });
+        if inside {
+            on += usize::from(changed);
+            of += 1;
+        }
+        assert!(!changed || (px - cx).hypot(py - cy) < 2.5 * reach, "({x}, {y})");
+    }
+    assert!(10 * on > 8 * of, "{on} of {of} pixels of the marker are covered");
     std::fs::copy(dir.path().join("x.png"), dir.path().join("y.png")).unwrap();
     let more = Source::open(&[dir.path().join("y.png")], None).unwrap();
     let error = run(&mut boxes, &more, &config, &RunOptions::default(), &mut |_| true).unwrap_err().to_string();

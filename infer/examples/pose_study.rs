@@ -19,15 +19,17 @@ use tcross_infer::{
     read_image,
 };
 
-const HELP: &str = "pose_study DATASET [--out DIR] [--method model|paper|both] [--jitter SHARE] [--threads N]
+const HELP: &str = "pose_study DATASET [--out DIR] [--method model|paper|both] [--jitter SHARE] [--threads N] [--min-quality Q]
 pose_study --empty N --photos DIR [--method model|paper|both]
 pose_study DATASET --fit N --photos DIR [--dump FILE]
 
 DATASET: a dataset's folder; all its splits are used. --out writes truth.jsonl and a detections file a method, for
 `tcross eval DIR/truth.jsonl DIR/model.jsonl DIR/paper.jsonl --protocol pose --out DIR/eval`, which draws the curves.
+Below the marks stands what other values of min_quality, from Q on, would give.
 --jitter moves each side of a box by up to that share of its length. Times are good for something with --threads 1, the default.
 --empty: N boxes of 24 to 400 px on photos without a marker.
---fit: the quality's weights, by logistic regression of right poses of the dataset against all else and against N empty boxes.";
+--fit: the quality's weights, by logistic regression of right poses of the dataset against all else and against N empty boxes;
+--dump keeps what was seen of each.";
 
 type Failed = Box<dyn std::error::Error + Send + Sync>;
 
@@ -49,7 +51,8 @@ fn main() -> Result<(), Failed> {
     }
     match args.first() {
         Some(dataset) if !dataset.starts_with("--") => {
-            study(Path::new(dataset), &methods, number("--jitter", 0.0)?, value("--out").map(PathBuf::from))
+            let least = number("--min-quality", Config::default().min_quality)?;
+            study(Path::new(dataset), &methods, least, number("--jitter", 0.0)?, value("--out").map(PathBuf::from))
         }
         _ => {
             println!("{HELP}");
@@ -66,7 +69,7 @@ fn name(method: Method) -> &'static str {
     if method == Method::Model { "model" } else { "paper" }
 }
 
-fn study(dir: &Path, methods: &[Method], jitter: f64, out: Option<PathBuf>) -> Result<(), Failed> {
+fn study(dir: &Path, methods: &[Method], min_quality: f64, jitter: f64, out: Option<PathBuf>) -> Result<(), Failed> {
     let dataset = Dataset::open(dir)?;
     let records = records(dir, &dataset)?;
     let moved = |b: &PixelBox, rng: &mut Rng| -> PixelBox {
@@ -75,7 +78,7 @@ fn study(dir: &Path, methods: &[Method], jitter: f64, out: Option<PathBuf>) -> R
         [by(b.x_min, w), by(b.y_min, h), by(b.x_max, w), by(b.y_max, h)].into()
     };
     for method in methods {
-        let config = configured(*method);
+        let config = Config { min_quality, ..configured(*method) };
         let looked: Vec<(ImageDetections, Vec<Trial>)> = records
             .par_iter()
             .enumerate()
@@ -97,6 +100,9 @@ fn study(dir: &Path, methods: &[Method], jitter: f64, out: Option<PathBuf>) -> R
             .collect::<Result<_, Failed>>()?;
         let trials: Vec<Trial> = looked.iter().flat_map(|l| l.1.clone()).collect();
         println!("{}\n{}", name(*method), Marks::of(&trials));
+        if *method == Method::Model {
+            thresholds(&trials, min_quality);
+        }
         let mut reasons: BTreeMap<&str, usize> = BTreeMap::new();
         for trial in &trials {
             if let PoseOutcome::Refused { refused } = &trial.outcome {
@@ -113,6 +119,18 @@ fn study(dir: &Path, methods: &[Method], jitter: f64, out: Option<PathBuf>) -> R
         files::write_jsonl(out.join("truth.jsonl"), &records)?;
     }
     Ok(())
+}
+
+/// What more demanding values of `min_quality` would give.
+fn thresholds(trials: &[Trial], from: f64) {
+    for least in [0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7].into_iter().filter(|q| *q > from) {
+        let kept: Vec<&Trial> = trials.iter().filter(|t| matches!(&t.outcome, PoseOutcome::Found(p) if p.quality >= least)).collect();
+        let percent = |n: usize, of: usize| 100.0 * n as f64 / of.max(1) as f64;
+        let wrong = kept.iter().filter(|t| t.angle_deg > 45.0).count();
+        let corners = marks::quantile(kept.iter().map(|t| t.corner_percent).collect(), 0.95);
+        let (recovered, wrong) = (percent(kept.len(), trials.len()), percent(wrong, kept.len()));
+        println!("  min_quality {least:4.2}       recovered {recovered:6.2} %, wrong {wrong:5.2} %, corners p95 {corners:6.2} %");
+    }
 }
 
 /// All splits: no method learns from any of them.
@@ -181,38 +199,54 @@ fn empty(photos: &Path, boxes: u64, methods: &[Method]) -> Result<(), Failed> {
     Ok(())
 }
 
+/// What was seen of a quadrilateral, and whether it is right.
+type Row = ([f64; FEATURES.len()], bool, String);
+
 /// Fits the quality: right poses (centre within 6 %, corners within 10 %) against wrong ones and empty boxes.
 fn fit(dir: &Path, photos: &Path, boxes: u64, dump: Option<String>) -> Result<(), Failed> {
     let config = configured(Method::Model);
     let dataset = Dataset::open(dir)?;
-    let markers: Vec<Vec<([f64; FEATURES.len()], bool)>> = records(dir, &dataset)?
+    let markers: Vec<Vec<Row>> = records(dir, &dataset)?
         .par_iter()
         .enumerate()
         .map(|(k, record)| {
             let image = read_image(&dataset.image_path(record))?;
-            // Every other box as a detector would place it.
+            // Each box as it is, and as a detector would place it.
             let mut rng = Rng::for_item(14, "study/fit", k as u64);
-            let mut moved = |v: f64, size: f64| if k % 2 == 0 { v } else { v + 0.06 * size * rng.uniform(-1.0, 1.0) };
-            let seen = record.markers.iter().flat_map(|marker| {
+            let mut moved = |v: f64, size: f64| v + 0.06 * size * rng.uniform(-1.0, 1.0);
+            let mut rows: Vec<Row> = Vec::new();
+            for marker in &record.markers {
                 let (b, w, h) = (&marker.bounds, marker.bounds.width(), marker.bounds.height());
-                let bounds = [moved(b.x_min, w), moved(b.y_min, h), moved(b.x_max, w), moved(b.y_max, h)].into();
-                let all = pose::model::considered(&image, &bounds, &config).into_iter();
-                all.filter_map(move |(pose, evidence)| {
-                    let trial = Trial::new(marker, PoseOutcome::Found(Box::new(pose)), 0.0)?;
-                    Some((evidence.features, trial.center_percent < 6.0 && trial.corner_percent < 10.0))
-                })
-            });
-            Ok(seen.collect())
+                let beside = PixelBox::from([moved(b.x_min, w), moved(b.y_min, h), moved(b.x_max, w), moved(b.y_max, h)]);
+                for (name, bounds) in [("as it is", b), ("moved", &beside)] {
+                    for seen in pose::model::considered(&image, bounds, &config) {
+                        let Some(trial) = Trial::new(marker, PoseOutcome::Found(Box::new(seen.pose.clone())), 0.0) else { continue };
+                        let right = trial.center_percent < 6.0 && trial.corner_percent < 10.0;
+                        let text = format!(
+                            "{{\"image\": {:?}, \"box\": {name:?}, \"right\": {right}, \"angle_off\": {}, \"features\": {:?}, \"pose\": {}, \"marker\": {}}}\n",
+                            record.image,
+                            trial.angle_deg,
+                            seen.evidence.features,
+                            serde_json::to_string(&seen.pose)?,
+                            serde_json::to_string(marker)?,
+                        );
+                        rows.push((seen.evidence.features, right, text));
+                    }
+                }
+            }
+            Ok(rows)
         })
         .collect::<Result<_, Failed>>()?;
     let patches = on_photos(photos, boxes, |image, b| {
-        pose::model::considered(image, b, &config).into_iter().map(|(_, e)| (e.features, false)).collect::<Vec<_>>()
+        let row = |seen: pose::model::Considered| {
+            let text = format!("{{\"image\": \"\", \"right\": false, \"features\": {:?}}}\n", seen.evidence.features);
+            (seen.evidence.features, false, text)
+        };
+        pose::model::considered(image, b, &config).into_iter().map(row).collect::<Vec<_>>()
     })?;
-    let rows: Vec<([f64; FEATURES.len()], bool)> = markers.into_iter().flatten().chain(patches.into_iter().flatten()).collect();
+    let rows: Vec<Row> = markers.into_iter().flatten().chain(patches.into_iter().flatten()).collect();
     if let Some(path) = dump {
-        let line =
-            |(f, right): &([f64; FEATURES.len()], bool)| format!("{} {}\n", f.map(|v| format!("{v:.4}")).join(" "), u8::from(*right));
-        std::fs::write(path, rows.iter().map(line).collect::<String>())?;
+        std::fs::write(path, rows.iter().map(|r| r.2.as_str()).collect::<String>())?;
     }
     let weights = logistic(&rows);
     println!("{} rows, {} right", rows.len(), rows.iter().filter(|r| r.1).count());
@@ -224,13 +258,13 @@ fn fit(dir: &Path, photos: &Path, boxes: u64, dump: Option<String>) -> Result<()
 }
 
 /// Logistic regression by Newton's method with a slight pull towards zero.
-fn logistic(rows: &[([f64; FEATURES.len()], bool)]) -> Vec<f64> {
+fn logistic(rows: &[Row]) -> Vec<f64> {
     const N: usize = FEATURES.len() + 1;
     let mut weights = SVector::<f64, N>::zeros();
     for _ in 0..30 {
         let mut normal = SMatrix::<f64, N, N>::identity() * 0.5;
         let mut right = -weights * 0.5;
-        for (features, is_right) in rows {
+        for (features, is_right, _) in rows {
             let x = SVector::<f64, N>::from_fn(|i, _| if i == 0 { 1.0 } else { features[i - 1] });
             let p = 1.0 / (1.0 + (-weights.dot(&x)).exp());
             right += x * (f64::from(u8::from(*is_right)) - p);

@@ -6,8 +6,9 @@
 use super::{
     crop::{Colour, Picture},
     plane::Point,
+    stroke::Stroke,
 };
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{Matrix3, Vector3};
 use tcross_dataset::Homography;
 
 /// Stations along a half diagonal.
@@ -16,15 +17,21 @@ pub const STATIONS: usize = 16;
 const ACROSS: usize = 25;
 /// Stations lie between these shares of the half diagonal: clear of the other arms and of the outline.
 const FROM: f64 = 0.20;
-const TO: f64 = 0.88;
+const TO: f64 = 0.80;
 /// Half of the width looked at, in sides of the marker.
 const HALF_WIDTH: f64 = 0.18;
-/// Samples at each end of a row that stand for the fill beside the line.
+/// Samples at each end of a row that stand for the fill beside the line, as far as they lie inside the outline.
 const FLANK: usize = 6;
+/// Distance from the outline, in sides, from which a sample counts as inside.
+const CLEAR: f64 = 0.03;
 /// Half of the width of the window in which a line is summed, in samples: 0.07 sides in all.
 const CORE: usize = 2;
 /// Largest bow looked for to either side, in samples.
 const BOW: i32 = 4;
+/// A station is not seen where its fill is as light as this in all channels (square root of light; grey level 250 of 255): glare.
+const BLOWN: f32 = 0.977;
+/// Of sorted stations so many of a hundred at each end are left out: a gap in a line, a spot on the fill.
+const TRIM_PERCENT: usize = 20;
 
 /// What the four half diagonals show. Index `k` is the one from the centre to corner `k`.
 #[derive(Debug, Clone)]
@@ -39,10 +46,18 @@ pub struct Arms {
     pub likeness: f64,
     /// Contrast of line and fill, in square roots of light.
     pub contrast: f64,
-    /// Deviation of the rows' samples beside the lines, in the same unit.
+    /// Strength of the lines, in deviations of the fill.
+    pub strength: f64,
+    /// Deviation of the samples beside the lines, in the same unit.
     pub noise: f64,
-    /// Measured points of the lines in pixels, with the corner they lead to and a weight.
-    pub points: Vec<(usize, Point, f64)>,
+    /// Stations of all three lines at which the line shows.
+    pub shown: usize,
+    /// Stations that are not blown out, on the half diagonal where they are fewest.
+    pub seen: usize,
+    /// By how much the best choice of the half diagonal without a line explains the stations better than the next, in the lines' strength.
+    pub lead: f64,
+    /// How far beside the corner the line towards it ends, in sides to the right as seen from the centre.
+    pub ends: [Option<f64>; 4],
     /// Where the lines meet, in the unit square, and its variances along the stem and across it.
     pub meeting: Point,
     /// Deviation of the measured points from smooth strokes, in sides.
@@ -73,46 +88,69 @@ fn station(k: usize, r: f64, s: f64) -> Point {
     [0.5 + dx * r - dy * unit, 0.5 + dy * r + dx * unit]
 }
 
-/// Colours across one half diagonal, less the colour of their flanks.
-type Band = [[Colour; ACROSS]; STATIONS];
+/// How many samples at each end of the row at station `i` lie too near to the outline or beyond it.
+fn outside(i: usize) -> usize {
+    let limit = std::f64::consts::FRAC_1_SQRT_2 * (1.0 - share(i)) - CLEAR;
+    (0..ACROSS / 2).take_while(|j| -across(*j as f64) > limit).count()
+}
+
+/// Colours across one half diagonal, less the colour of their flanks; nothing where they lie outside the outline.
+struct Band {
+    rows: [[Colour; ACROSS]; STATIONS],
+    /// False where the fill is blown out.
+    seen: [bool; STATIONS],
+}
+
+/// The samples of a row that stand for the fill.
+fn flanks(i: usize) -> impl Iterator<Item = usize> {
+    (outside(i)..FLANK).flat_map(|j| [j, ACROSS - 1 - j])
+}
 
 fn band(picture: &Picture, map: &Homography, k: usize) -> Band {
-    std::array::from_fn(|i| {
+    let mut seen = [true; STATIONS];
+    let rows = std::array::from_fn(|i| {
         // A homography is nearly even along so short a row.
         let (a, b) = (map.apply(station(k, share(i), across(0.0))), map.apply(station(k, share(i), across((ACROSS - 1) as f64))));
         let step = [(b[0] - a[0]) / (ACROSS - 1) as f64, (b[1] - a[1]) / (ACROSS - 1) as f64];
-        let mut row: [Colour; ACROSS] =
-            std::array::from_fn(|j| picture.at([a[0] + step[0] * j as f64, a[1] + step[1] * j as f64]).map(f32::sqrt));
-        let flank: Colour = std::array::from_fn(|c| {
-            let sum = |range: std::ops::Range<usize>| row[range].iter().map(|v| v[c]).sum::<f32>();
-            (sum(0..FLANK) + sum(ACROSS - FLANK..ACROSS)) / (2 * FLANK) as f32
-        });
-        for v in &mut row {
+        let outside = outside(i);
+        let inside = outside..ACROSS - outside;
+        let mut row = [[0.0f32; 3]; ACROSS];
+        for j in inside.clone() {
+            row[j] = picture.at([a[0] + step[0] * j as f64, a[1] + step[1] * j as f64]).map(f32::sqrt);
+        }
+        let count = flanks(i).count() as f32;
+        let flank: Colour = std::array::from_fn(|c| flanks(i).map(|j| row[j][c]).sum::<f32>() / count);
+        seen[i] = flank.iter().any(|v| *v < BLOWN);
+        for v in &mut row[inside] {
             *v = std::array::from_fn(|c| v[c] - flank[c]);
         }
         row
-    })
+    });
+    Band { rows, seen }
 }
 
-/// Mean over the middle of all rows.
+/// Mean over the middle of all rows seen.
 fn middle_of(band: &Band) -> Colour {
     const REACH: usize = 4;
-    let mut sum = [0.0f32; 3];
-    for row in band {
+    let (mut sum, mut count) = ([0.0f32; 3], 1e-6);
+    for (row, _) in band.rows.iter().zip(&band.seen).filter(|(_, seen)| **seen) {
         for v in &row[ACROSS / 2 - REACH..=ACROSS / 2 + REACH] {
             (0..3).for_each(|c| sum[c] += v[c]);
         }
+        count += (2 * REACH + 1) as f32;
     }
-    sum.map(|v| v / (STATIONS * (2 * REACH + 1)) as f32)
+    sum.map(|v| v / count)
 }
 
 /// One half diagonal seen in the lines' colour.
 struct Lane {
     /// Sums over windows of `2 * CORE + 1` samples, divided by their number.
     smooth: [[f32; ACROSS]; STATIONS],
+    /// Stations that are not blown out.
+    seen: [bool; STATIONS],
     /// The bow, in samples at the middle of the half diagonal, that shows most line.
     bow: f32,
-    /// Line along that bow: mean, and the deviation of a station.
+    /// Line along that bow: mean of the middle stations, and the deviation of a station.
     mean: f32,
     deviation: f32,
 }
@@ -126,23 +164,40 @@ fn bowed(bow: f32, i: usize) -> f32 {
 impl Lane {
     fn new(band: &Band, line: Colour) -> Self {
         let mut smooth = [[0.0f32; ACROSS]; STATIONS];
-        for (row, out) in band.iter().zip(&mut smooth) {
+        for (row, out) in band.rows.iter().zip(&mut smooth) {
             let on: [f32; ACROSS] = std::array::from_fn(|j| dot(row[j], line));
             for (j, v) in out.iter_mut().enumerate() {
                 let (from, to) = (j.saturating_sub(CORE), (j + CORE + 1).min(ACROSS));
                 *v = on[from..to].iter().sum::<f32>() / (to - from) as f32;
             }
         }
-        let mut lane = Self { smooth, bow: 0.0, mean: f32::MIN, deviation: 0.0 };
+        let mut lane = Self { smooth, seen: band.seen, bow: 0.0, mean: 0.0, deviation: 0.0 };
+        let mut best = f32::MIN;
         for bow in -BOW..=BOW {
-            let mean = (0..STATIONS).map(|i| lane.at(i, bow as f32)).sum::<f32>() / STATIONS as f32;
             // A straight line is likelier than a bowed one.
-            if mean * (1.0 - 0.02 * bow.abs() as f32) > lane.mean {
-                (lane.mean, lane.bow) = (mean, bow as f32);
+            let value = (0..STATIONS).filter(|i| lane.seen[*i]).map(|i| lane.at(i, bow as f32)).sum::<f32>();
+            let value = value * (1.0 - 0.02 * bow.abs() as f32);
+            if value > best {
+                (best, lane.bow) = (value, bow as f32);
             }
         }
-        let spread = (0..STATIONS).map(|i| (lane.at(i, lane.bow) - lane.mean).powi(2)).sum::<f32>();
-        lane.deviation = (spread / STATIONS as f32).sqrt();
+        let mut values = [0.0f32; STATIONS];
+        let mut count = 0;
+        for i in (0..STATIONS).filter(|i| lane.seen[*i]) {
+            values[count] = lane.at(i, lane.bow);
+            count += 1;
+        }
+        let values = &mut values[..count];
+        values.sort_unstable_by(f32::total_cmp);
+        let trim = count * TRIM_PERCENT / 100;
+        let middle = &values[trim..count - trim];
+        if !middle.is_empty() {
+            lane.mean = middle.iter().sum::<f32>() / middle.len() as f32;
+            // The ends, pulled in to the middle ones.
+            let (lo, hi) = (middle[0], middle[middle.len() - 1]);
+            let spread = values.iter().map(|v| (v.clamp(lo, hi) - lane.mean).powi(2)).sum::<f32>();
+            lane.deviation = (spread / count as f32).sqrt();
+        }
         lane
     }
 
@@ -152,6 +207,9 @@ impl Lane {
 
     /// The line's place across at station `i`, in sides; `None` where it does not show.
     fn place(&self, i: usize, strength: f32) -> Option<f64> {
+        if !self.seen[i] {
+            return None;
+        }
         let middle = (ACROSS as f32 / 2.0 + bowed(self.bow, i)) as usize;
         let (mut mass, mut moment) = (0.0f32, 0.0f32);
         for j in middle.saturating_sub(5)..(middle + 6).min(ACROSS) {
@@ -163,10 +221,39 @@ impl Lane {
     }
 }
 
+/// What must differ from the fill at least to be told from it, in square roots of light: keeps [`whiten`] from trusting an even fill blindly.
+const GRAIN: f32 = 0.02;
+
+/// Turns colours such that the fill beside the lines varies by 1 in every direction: the gaps of a hatched fill, which differ from it more than
+/// many a line does but all in one direction, then weigh no more than its noise.
+fn whiten(bands: &mut [Band; 4]) -> Option<()> {
+    let mut sum = Matrix3::<f32>::identity() * (GRAIN * GRAIN);
+    let (mut spread, mut count) = (Matrix3::<f32>::zeros(), 1e-6f32);
+    for band in bands.iter() {
+        for i in (0..STATIONS).filter(|i| band.seen[*i]) {
+            for j in flanks(i) {
+                let v = Vector3::from(band.rows[i][j]);
+                spread += v * v.transpose();
+                count += 1.0;
+            }
+        }
+    }
+    sum += spread / count;
+    let turn = sum.cholesky()?.l().try_inverse()?;
+    for band in bands {
+        for v in band.rows.iter_mut().flatten() {
+            *v = (turn * Vector3::from(*v)).into();
+        }
+    }
+    Some(())
+}
+
 /// Reads the arms under a homography from the unit square to pixels; `None` where nothing differs from the fill.
 #[must_use]
 pub fn read(picture: &Picture, map: &Homography) -> Option<Arms> {
-    let bands: [Band; 4] = std::array::from_fn(|k| band(picture, map, k));
+    let mut bands: [Band; 4] = std::array::from_fn(|k| band(picture, map, k));
+    let differences: [Colour; 4] = std::array::from_fn(|k| middle_of(&bands[k]));
+    whiten(&mut bands)?;
     let means: [Colour; 4] = std::array::from_fn(|k| middle_of(&bands[k]));
     // The colour that leads from fill to line: that of the three half diagonals which agree most, and of all where none does.
     let direction = |without: usize| {
@@ -176,6 +263,7 @@ pub fn read(picture: &Picture, map: &Homography) -> Option<Arms> {
     };
     let lanes = |line: Colour| -> [Lane; 4] { std::array::from_fn(|k| Lane::new(&bands[k], line)) };
     let mut best: Option<(f32, usize, [Lane; 4], Colour)> = None;
+    let mut next = f32::MIN;
     for without in 0..4 {
         let (line, length) = direction(without);
         if !(length > 1e-4) {
@@ -187,10 +275,13 @@ pub fn read(picture: &Picture, map: &Homography) -> Option<Arms> {
         let mean = others().map(|k| lanes[k].mean).sum::<f32>() / 3.0;
         let value = 0.5 * (least + mean) - lanes[without].mean;
         if best.as_ref().is_none_or(|b| value > b.0) {
+            next = best.map_or(next, |b| b.0);
             best = Some((value, without, lanes, line));
+        } else {
+            next = next.max(value);
         }
     }
-    let (_, without, lanes, line) = best?;
+    let (value, without, lanes, line) = best?;
     let mut carrying: Vec<usize> = (0..4).filter(|k| *k != without).collect();
     carrying.sort_by(|a, b| lanes[*a].mean.total_cmp(&lanes[*b].mean));
     let scale = carrying.iter().map(|k| lanes[*k].mean).sum::<f32>() / 3.0;
@@ -202,73 +293,100 @@ pub fn read(picture: &Picture, map: &Homography) -> Option<Arms> {
     let separation = (lanes[carrying[0]].mean - lanes[without].mean) / ((error(carrying[0]) + error(without)).sqrt() + 0.02 * scale);
     let likeness = carrying.iter().map(|k| dot(means[*k], line) / dot(means[*k], means[*k]).sqrt().max(1e-6)).fold(1.0, f32::min);
     let noise = {
-        let beside = bands.iter().flatten().flat_map(|row| row[..FLANK].iter().chain(&row[ACROSS - FLANK..]));
-        (beside.map(|v| dot(*v, line).powi(2)).sum::<f32>() / (4 * STATIONS * 2 * FLANK) as f32).sqrt()
-    };
-    let mut points = Vec::with_capacity(3 * STATIONS);
-    let mut places: [Vec<(f64, f64)>; 4] = Default::default();
-    for &k in &carrying {
-        for i in 0..STATIONS {
-            if let Some(s) = lanes[k].place(i, lanes[k].mean.max(0.3 * scale)) {
-                points.push((k, map.apply(station(k, share(i), s)), 1.0));
-                places[k].push((share(i), s));
+        let (mut sum, mut count) = (0.0f32, 1e-6f32);
+        for (band, i) in bands.iter().flat_map(|band| (0..STATIONS).filter(|i| band.seen[*i]).map(move |i| (band, i))) {
+            for j in flanks(i) {
+                sum += dot(band.rows[i][j], line).powi(2);
+                count += 1.0;
             }
         }
+        (sum / count).sqrt()
+    };
+    let mut places: [Vec<(f64, f64)>; 4] = Default::default();
+    for &k in &carrying {
+        places[k].extend((0..STATIONS).filter_map(|i| Some((share(i), lanes[k].place(i, lanes[k].mean.max(0.3 * scale))?))));
     }
     let stem = (without + 2) % 4;
-    let (meeting, wobble) = meeting(&places, stem);
+    let strokes = Strokes::fit(&places, stem);
     Some(Arms {
         presence: std::array::from_fn(|k| f64::from(lanes[k].mean / scale)),
         stem,
         separation: f64::from(separation),
         likeness: f64::from(likeness),
-        contrast: f64::from(scale),
+        contrast: carrying.iter().map(|k| f64::from(dot(differences[*k], differences[*k]).sqrt())).sum::<f64>() / 3.0,
+        strength: f64::from(scale),
         noise: f64::from(noise),
-        points,
-        meeting,
-        wobble,
+        shown: places.iter().map(Vec::len).sum(),
+        seen: bands.iter().map(|b| b.seen.iter().filter(|s| **s).count()).min().unwrap_or(0),
+        lead: f64::from((value - next) / scale),
+        ends: strokes.ends(&places, stem),
+        meeting: strokes.meeting(stem),
+        wobble: strokes.wobble(),
     })
 }
 
 /// Deviation of a measured place, in sides.
 const PLACE: f64 = 0.012;
-/// What a stroke's offset, its turn, and its first three bows may be, in sides.
+/// What a stroke's offset, its turn, and its first three bows may be, in sides, where the quadrilateral is right.
 const STROKE: [f64; 5] = [0.015, 0.015, 0.020, 0.010, 0.006];
+/// The same where the quadrilateral is to be corrected.
+const FREE: [f64; 5] = [0.05, 0.05, 0.020, 0.010, 0.006];
 
-/// Fits a smooth stroke to places `(t, s)` along it, t from 0 to 1, and says how far it is from its chord at `t`, and how far the places
-/// are from it (root mean square).
-fn stroke(places: impl Iterator<Item = (f64, f64)> + Clone, at: f64) -> (f64, f64) {
-    let basis = |t: f64| {
-        let wave = |n: f64| (n * std::f64::consts::PI * t).sin();
-        SVector::<f64, 5>::from([1.0, 2.0 * t - 1.0, wave(1.0), wave(2.0), wave(3.0)])
-    };
-    let mut normal = SMatrix::<f64, 5, 5>::from_diagonal(&SVector::from(STROKE.map(|s| 1.0 / (s * s))));
-    let mut right = SVector::<f64, 5>::zeros();
-    for (t, s) in places.clone() {
-        let b = basis(t);
-        normal += b * b.transpose() / (PLACE * PLACE);
-        right += b * s / (PLACE * PLACE);
-    }
-    let Some(factor) = normal.cholesky() else { return (0.0, 0.0) };
-    let solved = factor.solve(&right);
-    let (sum, count) = places.fold((0.0, 1e-9), |(sum, n), (t, s)| (sum + (solved.dot(&basis(t)) - s).powi(2), n + 1.0));
-    (solved.dot(&basis(at)), (sum / count).sqrt())
+/// The two lines of a T cross as smooth curves: the whole diagonal, from the corner left of the stem to the one right of it, and the stem.
+struct Strokes {
+    whole: Option<Stroke>,
+    short: Option<Stroke>,
 }
 
-/// Where the strokes meet in the unit square, and the wobble of the places along them.
-fn meeting(places: &[Vec<(f64, f64)>; 4], stem: usize) -> (Point, f64) {
-    let (right, left) = ((stem + 1) % 4, (stem + 3) % 4);
-    // The whole diagonal runs from the corner left of the stem to the one right of it; to the right of one half is left of the other.
-    let whole = places[left].iter().map(|(r, s)| (0.5 - 0.5 * r, -s)).chain(places[right].iter().map(|(r, s)| (0.5 + 0.5 * r, *s)));
-    let (whole, w0) = stroke(whole, 0.5);
-    let (short, w1) = stroke(places[stem].iter().copied(), 0.0);
-    // To the right of the way towards `right`, and to the right of the way towards the stem.
-    let side = |k: usize, s: f64| {
-        let [x, y] = station(k, 0.0, s);
-        [x - 0.5, y - 0.5]
-    };
-    let (a, b) = (side(right, whole), side(stem, short));
-    ([0.5 + a[0] + b[0], 0.5 + a[1] + b[1]], ((w0 * w0 * 2.0 + w1 * w1) / 3.0).sqrt())
+impl Strokes {
+    /// Places `(share, across)` along the whole diagonal; to the right of one half is left of the other.
+    fn whole(places: &[Vec<(f64, f64)>; 4], stem: usize) -> impl Iterator<Item = (f64, f64)> + Clone {
+        let (right, left) = ((stem + 1) % 4, (stem + 3) % 4);
+        places[left].iter().map(|(r, s)| (0.5 - 0.5 * r, -s)).chain(places[right].iter().map(|(r, s)| (0.5 + 0.5 * r, *s)))
+    }
+
+    fn fit(places: &[Vec<(f64, f64)>; 4], stem: usize) -> Self {
+        Self {
+            whole: Stroke::fit(Self::whole(places, stem), PLACE, &STROKE),
+            short: Stroke::fit(places[stem].iter().copied(), PLACE, &STROKE),
+        }
+    }
+
+    /// Where they meet in the unit square.
+    fn meeting(&self, stem: usize) -> Point {
+        let at = |stroke: &Option<Stroke>, t: f64| stroke.as_ref().map_or(0.0, |s| s.at(t));
+        // To the right of the way towards a corner.
+        let side = |k: usize, s: f64| {
+            let [x, y] = station(k, 0.0, s);
+            [x - 0.5, y - 0.5]
+        };
+        let (a, b) = (side((stem + 1) % 4, at(&self.whole, 0.5)), side(stem, at(&self.short, 0.0)));
+        [0.5 + a[0] + b[0], 0.5 + a[1] + b[1]]
+    }
+
+    /// Distance of the places from the curves, in sides: root mean square.
+    fn wobble(&self) -> f64 {
+        let squared = |stroke: &Option<Stroke>| stroke.as_ref().map_or(0.0, |s| s.wobble * s.wobble);
+        ((2.0 * squared(&self.whole) + squared(&self.short)) / 3.0).sqrt()
+    }
+
+    /// Where the lines end beside their corners.
+    fn ends(&self, places: &[Vec<(f64, f64)>; 4], stem: usize) -> [Option<f64>; 4] {
+        let mut ends = [None; 4];
+        let (right, left) = ((stem + 1) % 4, (stem + 3) % 4);
+        if let Some(whole) = Stroke::fit(Self::whole(places, stem), PLACE, &FREE) {
+            ends[right] = Some(whole.at(1.0));
+            ends[left] = Some(-whole.at(0.0));
+        }
+        ends[stem] = Stroke::fit(places[stem].iter().copied(), PLACE, &FREE).map(|s| s.at(1.0));
+        ends
+    }
+}
+
+/// The point beside corner `k` of the unit square where its line ends, and the line's direction there.
+#[must_use]
+pub fn end_point(map: &Homography, k: usize, off: f64) -> (Point, Point) {
+    (map.apply(station(k, 1.0, off)), map.apply(station(k, 0.9, off)))
 }
 
 #[cfg(test)]
@@ -287,9 +405,22 @@ mod tests {
             places[3].push((r, bow(0.5 - 0.5 * r)));
             places[0].push((r, 0.0));
         }
-        let ([x, y], wobble) = meeting(&places, 0);
+        let strokes = Strokes::fit(&places, 0);
+        let ([x, y], wobble) = (strokes.meeting(0), strokes.wobble());
         let want = 0.5 - 0.02 / std::f64::consts::SQRT_2;
         assert!((x - want).abs() < 0.003 && (y - want).abs() < 0.003, "{x} {y}, not {want}");
         assert!(wobble < 0.003, "{wobble}");
+        for off in strokes.ends(&places, 0).into_iter().flatten() {
+            assert!(off.abs() < 0.008, "{off}");
+        }
+    }
+
+    #[test]
+    fn what_stands_for_the_fill_lies_inside() {
+        for i in 0..STATIONS {
+            let limit = std::f64::consts::FRAC_1_SQRT_2 * (1.0 - share(i));
+            assert!(flanks(i).all(|j| across(j as f64).abs() < limit), "station {i}");
+            assert!(flanks(i).count() >= 4, "station {i}");
+        }
     }
 }

@@ -9,6 +9,10 @@ use tcross_dataset::{PixelBox, Quad};
 
 /// Odds of what lies beyond the view, where nothing is seen.
 const BEYOND: f32 = -0.7;
+/// Lines clearer than this make no quadrilateral better: bold lines must not outweigh sides in the wrong place.
+const MOST_CROSS: f32 = 2.0;
+/// Fill against surroundings, in log odds, beyond which a side is no better.
+const MOST_SIDE: f32 = 4.5;
 /// Stations along a side or along a half diagonal.
 const STATIONS: usize = 8;
 
@@ -44,7 +48,7 @@ impl Score {
     #[must_use]
     pub fn total(&self) -> f32 {
         let least = self.sides.iter().copied().fold(f32::MAX, f32::min);
-        0.25 * self.sides.iter().sum::<f32>() + 0.5 * least + 2.0 * self.cross - 12.0 * self.beside
+        0.25 * self.sides.iter().sum::<f32>() + 0.5 * least + 2.0 * self.cross.min(MOST_CROSS) - 12.0 * self.beside
     }
 }
 
@@ -179,6 +183,27 @@ impl<'a> Maps<'a> {
         top + (bottom - top) * fy
     }
 
+    /// The longest run of cells that look like marker along those borders of the view (left, upper, right, lower) that are named, in cells.
+    #[must_use]
+    pub fn run_along(&self, borders: [bool; 4]) -> usize {
+        let (w, h) = (self.view.width, self.view.height);
+        let longest = |cells: &mut dyn Iterator<Item = usize>| {
+            let (mut run, mut most) = (0, 0);
+            for cell in cells {
+                run = if self.odds[cell] > 1.0 { run + 1 } else { 0 };
+                most = most.max(run);
+            }
+            most
+        };
+        let runs = [
+            longest(&mut (0..h).map(|y| y * w)),
+            longest(&mut (0..w)),
+            longest(&mut (0..h).map(|y| y * w + w - 1)),
+            longest(&mut ((h - 1) * w..h * w)),
+        ];
+        (0..4).filter(|k| borders[*k]).map(|k| runs[k]).max().unwrap_or(0)
+    }
+
     /// How well a convex quadrilateral in cells, clockwise as seen, explains the maps; `None` for one without a middle.
     #[must_use]
     pub fn score(&self, corners: &[Point; 4]) -> Option<Score> {
@@ -193,7 +218,7 @@ impl<'a> Maps<'a> {
                 inside += self.odds_near(along(foot, inwards, 0.15));
                 outside += self.odds_near(along(foot, inwards, -0.15));
             }
-            score.sides[k] = ((inside - outside) / STATIONS as f32).clamp(-2.0, 3.0);
+            score.sides[k] = ((inside - outside) / STATIONS as f32).clamp(-2.0, MOST_SIDE);
         }
         let mut arms = [[0.0f32; 4]; 4];
         for (arm, corner) in arms.iter_mut().zip(corners) {

@@ -11,6 +11,7 @@ pub mod plane;
 pub mod quad;
 mod refusal;
 pub mod search;
+pub mod stroke;
 
 pub use refusal::Refusal;
 

@@ -1,12 +1,12 @@
-//! Our method, the default: colour model -> quadrilateral -> sub-pixel outline -> arms -> the T cross fitted as a whole.
+//! Our method, the default: colour model -> quadrilateral -> sub-pixel outline -> lines -> corners from all of these together.
 use super::{
     Config, Refusal,
     arms::{self, Arms},
     crop::{Coarse, Picture},
     edges,
     evidence::{Maps, Score},
-    fit::{self, Constraint, Fit},
-    plane::{Line, Point, Weighted, along, distance, fit_line},
+    fit::{self, Pull},
+    plane::{Line, Point, Weighted, along, distance, fit_line, norm, sub},
     quad,
     search::{self, Guess},
 };
@@ -18,8 +18,8 @@ use tcross_dataset::{
 
 /// Deviation of the centre of a marker that leaves nothing to wish, in sides and in pixels: what a hand errs and what pixels hide. With
 /// [`DOUBT`] fitted to the errors on 700 drawn markers (a heavy-tailed likelihood, then scaled so that 95 % ellipses hold 94 %).
-const CENTER: f64 = 0.0084;
-const CENTER_PX: f64 = 0.28;
+const CENTER: f64 = 0.0092;
+const CENTER_PX: f64 = 0.31;
 /// Growth of that deviation from quality 1 to quality 0.
 const DOUBT: f64 = 4.0;
 
@@ -30,34 +30,89 @@ const DOUBT: f64 = 4.0;
 pub fn recover(image: &RgbImage, bounds: &PixelBox, config: &Config) -> Result<Pose, Refusal> {
     let (picture, inside) = super::checked(image, bounds, config)?;
     let window = super::padded(&picture, &inside, config.padding);
-    let view = Coarse::new(&picture, &window).ok_or(Refusal::TooSmall)?;
-    if is_plain(&view) {
+    let coarse = Coarse::new(&picture, &window).ok_or(Refusal::TooSmall)?;
+    let view = View::new(&picture, inside);
+    if is_plain(&coarse) {
         return Err(Refusal::OneColour);
     }
-    let mut answer: Result<Pose, Refusal> = Err(Refusal::NoOutline);
-    for settled in candidates(&view, &inside) {
-        let found = look(&picture, settled.corners, &settled).and_then(|looked| {
-            looked.evidence.check(config.min_quality)?;
-            pose(&looked)
-        });
-        match (&found, &answer) {
-            (Ok(pose), _) if pose.quality > SURE => return found,
-            (Ok(pose), Ok(other)) if pose.quality > other.quality => answer = found,
-            (Ok(_), Err(_)) | (Err(_), Err(Refusal::NoOutline)) => answer = found,
-            _ => {}
+    let mut best: Option<Answer> = None;
+    let mut rival: Option<Answer> = None;
+    let mut refusal = Refusal::NoOutline;
+    for settled in candidates(&coarse, &view) {
+        if settled.cut {
+            refusal = Refusal::CutByBorder;
+        }
+        let answer = match look(&picture, &settled, &view).and_then(|looked| Answer::of(&looked, config.min_quality)) {
+            Ok(answer) => answer,
+            Err(other) => {
+                // The first reason is that of the likeliest quadrilateral.
+                if refusal == Refusal::NoOutline {
+                    refusal = other;
+                }
+                continue;
+            }
+        };
+        let sure = answer.pose.quality > SURE;
+        if best.as_ref().is_none_or(|b| answer.logit > b.logit) {
+            rival = best.replace(answer).or(rival);
+        } else if rival.as_ref().is_none_or(|r| answer.logit > r.logit) {
+            rival = Some(answer);
+        }
+        if sure {
+            break;
         }
     }
-    answer
+    let Some(best) = best else { return Err(refusal) };
+    if best.cut {
+        return Err(Refusal::CutByBorder);
+    }
+    if rival.is_some_and(|r| best.logit - r.logit < CLOSE && turned(&best.pose, &r.pose)) {
+        return Err(Refusal::Ambiguous);
+    }
+    Ok(best.pose)
 }
 
-/// Every quadrilateral that [`recover`] would consider, with its evidence, whatever its quality: for fitting the quality's weights.
+/// A pose that may be claimed.
+struct Answer {
+    pose: Pose,
+    logit: f64,
+    cut: bool,
+}
+
+impl Answer {
+    fn of(looked: &Looked, min_quality: f64) -> Result<Self, Refusal> {
+        looked.evidence.check(min_quality)?;
+        Ok(Self { pose: pose(looked)?, logit: looked.evidence.logit(), cut: looked.cut })
+    }
+}
+
+/// Quadrilaterals whose log odds differ by less are equally good.
+const CLOSE: f64 = 1.0;
+
+/// Whether two poses tell different turns.
+fn turned(a: &Pose, b: &Pose) -> bool {
+    let apart = (a.angle - b.angle).rem_euclid(360.0);
+    apart.min(360.0 - apart) > 45.0
+}
+
+/// A quadrilateral that [`recover`] would consider, whatever its quality: for fitting the quality's weights.
+#[derive(Debug, Clone)]
+pub struct Considered {
+    /// The pose that would be claimed.
+    pub pose: Pose,
+    /// What speaks for it.
+    pub evidence: Evidence,
+}
+
+/// Every quadrilateral that [`recover`] would consider.
 #[must_use]
-pub fn considered(image: &RgbImage, bounds: &PixelBox, config: &Config) -> Vec<(Pose, Evidence)> {
+pub fn considered(image: &RgbImage, bounds: &PixelBox, config: &Config) -> Vec<Considered> {
     let Ok((picture, inside)) = super::checked(image, bounds, config) else { return Vec::new() };
-    let Some(view) = Coarse::new(&picture, &super::padded(&picture, &inside, config.padding)) else { return Vec::new() };
-    let all = candidates(&view, &inside).filter_map(|settled| {
-        let looked = look(&picture, settled.corners, &settled).ok()?;
-        Some((pose(&looked).ok()?, looked.evidence))
+    let Some(coarse) = Coarse::new(&picture, &super::padded(&picture, &inside, config.padding)) else { return Vec::new() };
+    let view = View::new(&picture, inside);
+    let all = candidates(&coarse, &view).filter_map(|settled| {
+        let looked = look(&picture, &settled, &view).ok()?;
+        Some(Considered { pose: pose(&looked).ok()?, evidence: looked.evidence })
     });
     all.collect()
 }
@@ -66,14 +121,14 @@ pub fn considered(image: &RgbImage, bounds: &PixelBox, config: &Config) -> Vec<(
 struct Settled {
     corners: [Point; 4],
     score: Score,
-    /// Overlap of its extent with the box, IoU.
-    agreement: f64,
+    /// Whether its fill runs along the picture's border.
+    cut: bool,
 }
 
 /// Quadrilaterals for a box, best first, each settled as it is asked for.
-fn candidates<'a>(view: &'a Coarse, inside: &PixelBox) -> impl Iterator<Item = Settled> + use<'a> {
-    let mut maps = Maps::new(view, inside);
-    let bounds = view.to_cells(inside);
+fn candidates<'a>(coarse: &'a Coarse, view: &View) -> impl Iterator<Item = Settled> + use<'a> {
+    let mut maps = Maps::new(coarse, &view.bounds);
+    let (bounds, borders) = (coarse.to_cells(&view.bounds), view.borders);
     let mut guesses: Vec<Guess> =
         search::guesses(&maps, &bounds, GUESSES).into_iter().map(|g| search::nudge(&maps, g, &[0.06, 0.03])).collect();
     guesses.sort_by(|a, b| b.score.total().total_cmp(&a.score.total()));
@@ -84,21 +139,33 @@ fn candidates<'a>(view: &'a Coarse, inside: &PixelBox) -> impl Iterator<Item = S
             let Some(there) = search::settle(&maps, &corners, reach) else { continue };
             // A side may run away to the border of the sheet: the box tells.
             let fits = |c: &[Point; 4]| iou(&Quad(*c).bounds(), &bounds);
-            if fits(&there) > fits(&corners) - 0.15 {
+            if fits(&there) > fits(&corners) - MOST_LOSS {
                 corners = there;
+            }
+            if gap > 0.05 {
+                maps.relearn(&corners, gap);
+                if let Some(score) = maps.score(&corners) {
+                    corners = search::nudge(&maps, Guess { corners, score }, &[0.05]).corners;
+                }
             }
         }
         score = maps.score(&corners).unwrap_or(score);
-        let agreement = iou(&Quad(corners).bounds(), &bounds);
-        Settled { corners: corners.map(|p| view.to_source(p)), score, agreement }
+        let cut = maps.run_along(borders) as f64 > MOST_AT_BORDER * Quad(corners).side_px();
+        Settled { corners: corners.map(|p| coarse.to_source(p)), score, cut }
     })
 }
+
+/// A corner that touches the picture's border does so with little; with more than so many sides of fill along it the marker is cut.
+const MOST_AT_BORDER: f64 = 0.60;
+
+/// A settled quadrilateral's overlap with the box may fall by so much.
+const MOST_LOSS: f64 = 0.04;
 
 /// A pose of this quality ends the search.
 const SURE: f64 = 0.97;
 
 /// So many first quadrilaterals are followed up.
-const GUESSES: usize = 4;
+const GUESSES: usize = 8;
 
 /// True where no channel of any cell differs from another cell's by more than two grey levels or so.
 fn is_plain(view: &Coarse) -> bool {
@@ -110,70 +177,166 @@ fn is_plain(view: &Coarse) -> bool {
 
 /// Everything that was measured of one quadrilateral.
 struct Looked {
-    fitted: Fit,
+    corners: [Point; 4],
     arms: Arms,
     map: Homography,
     evidence: Evidence,
+    cut: bool,
 }
 
-fn look(picture: &Picture, corners: [Point; 4], settled: &Settled) -> Result<Looked, Refusal> {
+/// The box inside the picture, and which of the picture's borders (left, upper, right, lower) it touches.
+struct View {
+    bounds: PixelBox,
+    borders: [bool; 4],
+}
+
+impl View {
+    fn new(picture: &Picture, bounds: PixelBox) -> Self {
+        let (w, h) = (picture.width as f64, picture.height as f64);
+        Self { bounds, borders: [bounds.x_min < 1.0, bounds.y_min < 1.0, bounds.x_max > w - 1.0, bounds.y_max > h - 1.0] }
+    }
+}
+
+fn look(picture: &Picture, settled: &Settled, view: &View) -> Result<Looked, Refusal> {
+    let corners = within(settled.corners, view);
     let side_px = Quad(corners).side_px();
-    let (outline, clean) = outline(picture, &corners, side_px);
-    let sharp = fit::fit(corners, &outline).map(|f| f.corners).filter(quad::is_sound).unwrap_or(corners);
-    let map = Homography::from_unit_square(&sharp).ok_or(Refusal::NoOutline)?;
+    let sides = outline(picture, &corners, side_px).ok_or(Refusal::NoOutline)?;
+    let outlined = quad::corners_of(&sides.map(|s| s.line)).filter(quad::is_sound).unwrap_or(corners);
+    let map = Homography::from_unit_square(&outlined).ok_or(Refusal::NoOutline)?;
     let arms = arms::read(picture, &map).ok_or(Refusal::NoCross)?;
-    let mut constraints = outline;
-    constraints.extend(arms.points.iter().map(|(k, at, weight)| Constraint {
-        at: *at,
-        corners: (k % 2, k % 2 + 2),
-        outline: false,
-        weight: *weight,
-    }));
-    let fitted = fit::fit(sharp, &constraints).ok_or(Refusal::NoOutline)?;
-    if !quad::is_sound(&fitted.corners) {
-        return Err(Refusal::NoOutline);
-    }
+    let corners = together(&outlined, &sides, &arms, &map, view).filter(quad::is_sound).ok_or(Refusal::NoOutline)?;
     let beyond = 1.5 + 0.03 * side_px;
-    if fitted.corners.iter().any(|c| !picture.holds(*c, -beyond)) {
-        return Err(Refusal::CutByBorder);
-    }
-    let evidence = Evidence::of(&fitted, &arms, settled, clean);
-    Ok(Looked { fitted, arms, map, evidence })
+    let cut = settled.cut || corners.iter().any(|c| !picture.holds(*c, -beyond));
+    let agreement = iou(&Quad(corners).bounds(), &view.bounds);
+    let evidence = Evidence::of(&corners, &arms, settled, agreement, &sides);
+    Ok(Looked { corners, arms, map, evidence, cut })
 }
 
-/// Strokes of a hand end beyond the outline it aims at, by so many sides (measured over drawn markers).
-const OVERSHOOT: f64 = 0.020;
-/// What blur adds to that, in pixels.
-const SPREAD_PX: f64 = 0.7;
+/// A settled quadrilateral may reach beyond the box by so many sides; what reaches farther has run away to the border of a sheet.
+const MOST_BEYOND: f64 = 0.035;
 
-/// Points of the outline: along a side whose edge is sharp on the full-resolution picture those of its edge, along a ragged one those of
-/// the settled side; and how many sides are sharp.
-fn outline(picture: &Picture, corners: &[Point; 4], side_px: f64) -> (Vec<Constraint>, usize) {
-    let measured = edges::measure(picture, corners, (0.05 * side_px).max(3.0));
-    let mut constraints = Vec::with_capacity(4 * edges::PROFILES);
-    let mut clean = 0;
-    for side in 0..4 {
-        let on = (side, (side + 1) % 4);
-        let points: Vec<Weighted> = measured.iter().filter(|p| p.side == side).map(|p| Weighted { at: p.at, weight: p.weight }).collect();
-        let sharp = Line::through(corners[on.0], corners[on.1]).filter(|_| 3 * points.len() >= 2 * edges::PROFILES).and_then(|start| {
-            let line = fit_line(&points, start, 0.05 * side_px, 0.5)?;
-            let mut off: Vec<f64> = points.iter().map(|p| line.distance(p.at).abs()).collect();
-            let middle = off.len() / 2;
-            let deviation = 1.483 * *off.select_nth_unstable_by(middle, f64::total_cmp).1;
-            let moved = line.distance(corners[on.0]).abs().max(line.distance(corners[on.1]).abs());
-            (deviation < 0.4 + 0.006 * side_px && moved < 1.0 + 0.03 * side_px).then_some(line)
-        });
-        if sharp.is_some() {
-            clean += 1;
-            constraints.extend(points.iter().map(|p| Constraint { at: p.at, corners: on, outline: true, weight: p.weight }));
-        } else {
-            let Some(line) = Line::through(corners[on.0], corners[on.1]) else { continue };
-            let places = (0..edges::PROFILES / 2).map(|i| quad::on_side(corners, side, (i as f64 + 0.5) / (edges::PROFILES / 2) as f64));
-            let aimed = places.map(|at| along(at, line.normal, -(OVERSHOOT * side_px + SPREAD_PX)));
-            constraints.extend(aimed.map(|at| Constraint { at, corners: on, outline: true, weight: 1.0 }));
+/// The quadrilateral drawn together along the picture's axes such that it hardly reaches beyond the box.
+fn within(mut corners: [Point; 4], view: &View) -> [Point; 4] {
+    let (now, b) = (Quad(corners).bounds(), &view.bounds);
+    let slack = MOST_BEYOND * Quad(corners).side_px() + 1.0;
+    for (axis, from, to, least, most) in [(0, now.x_min, now.x_max, b.x_min, b.x_max), (1, now.y_min, now.y_max, b.y_min, b.y_max)] {
+        let (new_from, new_to) = (from.max(least - slack), to.min(most + slack));
+        if to - from > 1.0 && new_to - new_from > 1.0 {
+            for c in &mut corners {
+                c[axis] = new_from + (c[axis] - from) * (new_to - new_from) / (to - from);
+            }
         }
     }
-    (constraints, clean)
+    corners
+}
+
+/// Points of an edge from which a side is laid; fewer say too little.
+const LEAST_POINTS: usize = 8;
+/// An edge lies beyond the outline that the hand aimed at: by so many deviations of its points from a straight line, since the ragged ends of
+/// strokes reach farther the more they vary, and by so many pixels of blur. Measured over drawn markers, as are the other numbers here.
+const RAGGED_BEYOND: f64 = 1.15;
+const BLUR_BEYOND_PX: f64 = 0.27;
+/// Deviation of a side's ends: in sides, in pixels, and in deviations of its points.
+const EDGE: f64 = 0.003;
+const EDGE_PX: f64 = 0.45;
+const EDGE_RAGGED: f64 = 1.3;
+/// A side without an edge lies so many sides and pixels inside the settled one, with deviations in sides and pixels.
+const SETTLED_BEYOND: f64 = 0.022;
+const SETTLED_BEYOND_PX: f64 = 0.7;
+const SETTLED: f64 = 0.025;
+const SETTLED_PX: f64 = 0.5;
+
+/// One side of the outline that the hand aimed at.
+#[derive(Debug, Clone, Copy)]
+struct Side {
+    line: Line,
+    /// Deviation of the edge's points from a straight line, in sides; that of a settled side where there is no edge.
+    ragged: f64,
+    /// Deviation at its corners, in pixels.
+    deviation: f64,
+}
+
+/// The sides, a little inside the edges seen on the full-resolution picture.
+fn outline(picture: &Picture, corners: &[Point; 4], side_px: f64) -> Option<[Side; 4]> {
+    let measured = edges::measure(picture, corners, (0.05 * side_px).max(3.0));
+    let mut sides = [None; 4];
+    for (side, out) in sides.iter_mut().enumerate() {
+        let start = Line::through(corners[side], corners[(side + 1) % 4])?;
+        let points: Vec<Weighted> = measured.iter().filter(|p| p.side == side).map(|p| Weighted { at: p.at, weight: p.weight }).collect();
+        *out = along_edge(&points, &start, side_px).or_else(|| {
+            let line = Line { offset: start.offset - SETTLED_BEYOND * side_px - SETTLED_BEYOND_PX, ..start };
+            Some(Side { line, ragged: SETTLED, deviation: SETTLED * side_px + SETTLED_PX })
+        });
+    }
+    let [Some(a), Some(b), Some(c), Some(d)] = sides else { return None };
+    Some([a, b, c, d])
+}
+
+/// The side whose edge the points are, seen near `start`.
+fn along_edge(points: &[Weighted], start: &Line, side_px: f64) -> Option<Side> {
+    if points.len() < LEAST_POINTS {
+        return None;
+    }
+    let line = fit_line(points, *start, 0.05 * side_px + 1.0, 0.5)?;
+    let mut off: Vec<f64> = points.iter().map(|p| line.distance(p.at).abs()).collect();
+    let middle = off.len() / 2;
+    let spread = 1.483 * *off.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let line = Line { offset: line.offset - RAGGED_BEYOND * spread - BLUR_BEYOND_PX, ..line };
+    // Half the profiles without an edge: the others may be clutter's.
+    let few = if points.len() < 2 * edges::PROFILES / 3 { 1.5 } else { 1.0 };
+    let deviation = few * (EDGE * side_px).hypot(EDGE_PX).hypot(EDGE_RAGGED * spread);
+    Some(Side { line, ragged: spread / side_px, deviation })
+}
+
+/// Deviation of a line's end beside its corner, in sides.
+const END: f64 = 0.011;
+/// How far ink reaches beyond the outermost corner, in sides: a corner, and a side that lies along the box. And the deviation of that.
+const INK: f64 = 0.011;
+const INK_ALONG: f64 = 0.028;
+const WALL: f64 = 0.020;
+const WALL_PX: f64 = 0.5;
+
+/// The corners from sides, lines and box.
+fn together(corners: &[Point; 4], sides: &[Side; 4], arms: &Arms, map: &Homography, view: &View) -> Option<[Point; 4]> {
+    let side_px = Quad(*corners).side_px();
+    let mut pulls: [Vec<Pull>; 4] = Default::default();
+    let b = view.bounds;
+    for (k, side) in sides.iter().enumerate() {
+        for corner in [k, (k + 1) % 4] {
+            let [x, y] = corners[corner];
+            let at = along(corners[corner], side.line.normal, -side.line.distance(corners[corner]));
+            // An edge whose corner lies beyond the box is another thing's.
+            let beyond = (b.x_min - x).max(x - b.x_max).max(b.y_min - y).max(y - b.y_max);
+            let doubt = if beyond > MOST_BEYOND * side_px + 1.0 { 2.0 * beyond } else { 0.0 };
+            pulls[corner].push(Pull { at, normal: side.line.normal, deviation: side.deviation.hypot(doubt) });
+        }
+    }
+    for (k, end) in arms.ends.iter().enumerate() {
+        let Some(off) = end else { continue };
+        let (at, before) = arms::end_point(map, k, *off);
+        let way = sub(at, before);
+        let length = norm(way).max(1e-9);
+        pulls[k].push(Pull { at, normal: [-way[1] / length, way[0] / length], deviation: END * side_px });
+    }
+    for (wall, (axis, sign, at)) in [(0, -1.0, b.x_min), (1, -1.0, b.y_min), (0, 1.0, b.x_max), (1, 1.0, b.y_max)].into_iter().enumerate() {
+        // What touches the picture's border may have been cut there.
+        if view.borders[wall] {
+            continue;
+        }
+        let mut order = [0, 1, 2, 3];
+        order.sort_by(|a: &usize, b| (sign * corners[*b][axis]).total_cmp(&(sign * corners[*a][axis])));
+        let gap = (corners[order[0]][axis] - corners[order[1]][axis]).abs() / side_px;
+        let ink = INK + (INK_ALONG - INK) * (1.0 - gap / 0.15).max(0.0);
+        let (mut normal, mut place) = ([0.0; 2], corners[order[0]]);
+        normal[axis] = 1.0;
+        place[axis] = at - sign * ink * side_px;
+        pulls[order[0]].push(Pull { at: place, normal, deviation: WALL * side_px + WALL_PX });
+    }
+    let mut out = *corners;
+    for k in 0..4 {
+        out[k] = fit::corner(corners[k], &pulls[k])?;
+    }
+    Some(out)
 }
 
 /// What speaks for a T cross. The quality is the probability that logistic regression gives to these numbers.
@@ -183,10 +346,12 @@ pub struct Evidence {
     pub features: [f64; FEATURES.len()],
     /// Of lines and fill, in square roots of light.
     pub contrast: f64,
+    /// Stations that are not blown out, on the half diagonal where they are fewest.
+    pub seen: usize,
 }
 
 /// Names of the evidence, in order.
-pub const FEATURES: [&str; 13] = [
+pub const FEATURES: [&str; 15] = [
     "weakest side's log odds",
     "all sides' log odds",
     "cross in the coarse view",
@@ -198,38 +363,48 @@ pub const FEATURES: [&str; 13] = [
     "wobble",
     "stations seen",
     "agreement with the box",
-    "sharp sides",
+    "raggedness of the sides",
     "perspective",
+    "the coarse view's stem is the same",
+    "lead over the next stem",
 ];
 
 impl Evidence {
-    fn of(fitted: &Fit, arms: &Arms, settled: &Settled, clean: usize) -> Self {
+    fn of(corners: &[Point; 4], arms: &Arms, settled: &Settled, agreement: f64, sides: &[Side; 4]) -> Self {
         let mut presence = arms.presence;
         presence.sort_by(f64::total_cmp);
+        let ragged = sides.iter().map(|s| s.ragged).sum::<f64>() / 4.0;
         let sides = settled.score.sides.map(f64::from);
         Self {
             contrast: arms.contrast,
+            seen: arms.seen,
             features: [
                 sides.iter().copied().fold(f64::MAX, f64::min),
                 sides.iter().sum::<f64>() / 4.0,
                 f64::from(settled.score.cross).clamp(-1.0, 2.0),
-                ((presence[1] * arms.contrast).max(1e-3) / (arms.noise + 0.003)).ln().clamp(-3.0, 3.0),
+                ((presence[1] * arms.strength).max(1e-3) / (arms.noise + 0.1)).ln().clamp(-3.0, 3.0),
                 (presence[1] - presence[0].max(-0.3)).min(1.5),
                 arms.separation.clamp(-2.0, 8.0).max(0.0).sqrt(),
                 arms.likeness.max(0.0),
                 presence[1] / presence[3].max(1e-3),
                 (arms.wobble / 0.01).min(3.0),
-                arms.points.len() as f64 / (3 * arms::STATIONS) as f64,
-                settled.agreement,
-                clean as f64 / 4.0,
-                perspective(&fitted.corners).min(1.5),
+                arms.shown as f64 / (3 * arms::STATIONS) as f64,
+                agreement,
+                (ragged / 0.01).min(3.0),
+                perspective(corners).min(1.5),
+                f64::from(u8::from(settled.score.stem == arms.stem)),
+                arms.lead.clamp(0.0, 1.5),
             ],
         }
     }
 
+    /// Log odds of a right pose.
+    fn logit(&self) -> f64 {
+        WEIGHTS[0] + self.features.iter().zip(&WEIGHTS[1..]).map(|(f, w)| f * w).sum::<f64>()
+    }
+
     fn quality(&self) -> f64 {
-        let z = WEIGHTS[0] + self.features.iter().zip(&WEIGHTS[1..]).map(|(f, w)| f * w).sum::<f64>();
-        1.0 / (1.0 + (-z).exp())
+        1.0 / (1.0 + (-self.logit()).exp())
     }
 
     /// The reason to refuse, if any.
@@ -238,7 +413,7 @@ impl Evidence {
         if self.contrast < LEAST_CONTRAST {
             return Err(Refusal::NoCross);
         }
-        if margin < 0.12 || separation < 0.4 {
+        if margin < 0.12 || separation < 0.4 || self.seen < LEAST_SEEN {
             return Err(Refusal::Ambiguous);
         }
         if self.quality() >= least {
@@ -256,6 +431,9 @@ impl Evidence {
     }
 }
 
+/// A half diagonal of which fewer stations are seen may as well carry a line as not.
+const LEAST_SEEN: usize = 8;
+
 /// Lines that differ from the fill by less, in square roots of light, are none: rounding and compression reach so far.
 const LEAST_CONTRAST: f64 = 0.012;
 
@@ -267,11 +445,11 @@ fn perspective(c: &[Point; 4]) -> f64 {
 
 /// Bias and weights of [`FEATURES`], by `pose_study --fit` on drawn markers and photo patches.
 const WEIGHTS: [f64; FEATURES.len() + 1] =
-    [-7.02, 1.956, 0.179, 1.165, 0.938, 0.409, 0.059, 0.775, -1.093, -1.102, -1.528, 2.448, 1.694, -2.489];
+    [-3.698, 1.725, 0.068, -0.312, 1.217, -0.455, 0.069, -0.642, -0.322, -2.243, 2.046, 1.771, -1.108, -6.455, -0.191, -0.435];
 
 fn pose(looked: &Looked) -> Result<Pose, Refusal> {
-    let Looked { fitted, arms, map, evidence } = looked;
-    let corners: [Point; 4] = std::array::from_fn(|k| fitted.corners[(arms.stem + k) % 4]);
+    let Looked { corners, arms, map, evidence, .. } = looked;
+    let corners: [Point; 4] = std::array::from_fn(|k| corners[(arms.stem + k) % 4]);
     let homography = Homography::from_unit_square(&corners).ok_or(Refusal::NoOutline)?;
     let center = map.apply(arms.meeting);
     let covariance = covariance(map, arms.meeting, evidence.quality());

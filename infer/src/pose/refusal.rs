@@ -33,4 +33,7 @@ pub enum Refusal {
     /// The half diagonal without a line cannot be told from the others.
     #[error("ambiguous: the stem cannot be told")]
     Ambiguous,
+    /// A pose was read, of a lower quality than is asked for.
+    #[error("unsure: quality below min_quality")]
+    Unsure,
 }

@@ -27,6 +27,9 @@ const DILATE: usize = 4;
 /// One deviation of the centre, in sides, measured over drawn markers.
 const CENTER_DEVIATION: f64 = 0.02;
 
+/// Quality of every pose: the method has no measure of its own.
+const QUALITY: f64 = 0.5;
+
 /// A picture of a step, with its name.
 pub type Steps<'a> = Option<&'a mut dyn FnMut(&'static str, RgbImage)>;
 
@@ -66,6 +69,9 @@ pub fn recover(image: &RgbImage, bounds: &PixelBox, config: &Config, mut steps: 
     if corners.iter().any(|c| !picture.holds(*c, -1.5)) {
         return Err(Refusal::CutByBorder);
     }
+    if QUALITY < config.min_quality {
+        return Err(Refusal::Unsure);
+    }
     let center = crop.to_source(reading.center);
     let homography = Homography::from_unit_square(&corners).ok_or(Refusal::NoOutline)?;
     let variance = (CENTER_DEVIATION * Quad(corners).side_px()).powi(2);
@@ -75,7 +81,7 @@ pub fn recover(image: &RgbImage, bounds: &PixelBox, config: &Config, mut steps: 
         angle: angle_deg(corners[0][0] - center[0], corners[0][1] - center[1]),
         homography,
         covariance: [variance, 0.0, variance],
-        quality: 0.5,
+        quality: QUALITY,
         rotation: None,
         translation: None,
         reprojection_px: None,

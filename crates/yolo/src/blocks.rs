@@ -86,7 +86,7 @@ impl ConvBlock {
     #[must_use]
     pub fn forward(&self, x: Tensor<4>, path: Path) -> Tensor<4> {
         let Some(norm) = &self.norm else {
-            let y = ops::conv_bias(path, x, self.kernel.val(), self.bias.val());
+            let y = ops::conv_bias(path, x, self.kernel.val(), self.bias.val(), self.stride);
             return if self.leaky { activation::leaky_relu(y, LEAKY_SLOPE) } else { y };
         };
         let settings = norm.settings(self.stride, self.leaky, &x.device());

@@ -31,8 +31,8 @@ pub fn residual(x: Tensor<4>, squeeze: ConvNorm, expand: ConvNorm, settings: Nor
     (x + y, [first, second])
 }
 
-pub fn conv_bias(x: Tensor<4>, weight: Tensor<4>, bias: Tensor<1>) -> Tensor<4> {
-    let options = options(&weight, 1);
+pub fn conv_bias(x: Tensor<4>, weight: Tensor<4>, bias: Tensor<1>, stride: usize) -> Tensor<4> {
+    let options = options(&weight, stride);
     channels_last(conv2d(channels_first(x), weight, Some(bias), options))
 }
 

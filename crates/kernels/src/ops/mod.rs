@@ -98,12 +98,12 @@ pub fn residual(path: Path, x: Tensor<4>, squeeze: ConvNorm, expand: ConvNorm, s
     }
 }
 
-/// A convolution with bias and no activation: a head. Stride 1.
+/// A convolution with bias and no activation, such as a head. (The fast kernel is one of stride 1.)
 #[must_use]
-pub fn conv_bias(path: Path, x: Tensor<4>, weight: Tensor<4>, bias: Tensor<1>) -> Tensor<4> {
-    match path.covering(&weight, 1) {
-        Path::Fused => fused::conv_bias(x, weight, bias),
-        Path::Composite => composite::conv_bias(x, weight, bias),
+pub fn conv_bias(path: Path, x: Tensor<4>, weight: Tensor<4>, bias: Tensor<1>, stride: usize) -> Tensor<4> {
+    match path.covering(&weight, stride) {
+        Path::Fused if stride == 1 => fused::conv_bias(x, weight, bias),
+        _ => composite::conv_bias(x, weight, bias, stride),
     }
 }
 

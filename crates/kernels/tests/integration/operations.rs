@@ -102,7 +102,7 @@ proptest! {
             let x = noise([n, h, w, cin], seed, -1.0, 1.0, &device).require_grad();
             let weight = noise([cout, cin, 1, 1], seed + 1, -1.0, 1.0, &device).require_grad();
             let bias = noise([cout], seed + 2, -1.0, 1.0, &device).require_grad();
-            let y = ops::upsample(path, ops::conv_bias(path, x.clone(), weight.clone(), bias.clone()));
+            let y = ops::upsample(path, ops::conv_bias(path, x.clone(), weight.clone(), bias.clone(), 1));
             (ops::max_pool(path, ops::max_pool(path, y, 1), 2), vec![], vec![bias], vec![x, weight])
         }, &device);
     }

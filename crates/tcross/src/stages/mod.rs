@@ -188,7 +188,8 @@ impl Job<'_> {
     fn bring(&mut self, stage: Stage, index: usize) -> Outcome {
         let rows = self.rows;
         let row = &rows[index];
-        if stage == Stage::Train && row.network_of.is_some() {
+        // What follows the only stage that is asked for need not be there.
+        if (stage == Stage::Train && row.network_of.is_some()) || self.plan.only.is_some_and(|only| stage > only) {
             return Ok(());
         }
         stop::check(&format!("{} keeps every finished stage; the same command goes on", self.out.display()))?;
@@ -259,6 +260,9 @@ impl Job<'_> {
 
     /// Scores all rows together, unless nothing changed, and prints the table.
     fn report(&mut self, title: &str, config: &Config) -> Outcome {
+        if self.plan.only.is_some_and(|only| only != Stage::Eval) {
+            return Ok(());
+        }
         let key = Stage::Eval.name();
         let mut inputs: Vec<String> = (0..self.rows.len()).map(|k| self.inputs(Stage::Eval, k)).collect::<Outcome<_>>()?;
         inputs.push(serde_json::json!(config.expect).to_string());
@@ -266,12 +270,8 @@ impl Job<'_> {
         let results = [self.out.join("eval/metrics.json"), self.out.join("report.html")];
         let done =
             self.ledger.get(key).is_some_and(|e| e.inputs == inputs && e.outputs.is_some() && e.outputs == digest_of_files(&results));
-        let wanted = self.plan.only.is_none_or(|only| only == Stage::Eval);
         if self.plan.dry_run {
             console::result(if done { "eval: still matches" } else { "eval: would run" });
-            return Ok(());
-        }
-        if !wanted {
             return Ok(());
         }
         if done && self.plan.force != Some(Stage::Eval) {

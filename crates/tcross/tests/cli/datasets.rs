@@ -109,6 +109,7 @@ fn a_dataset_is_audited() {
     let dir = tempfile::tempdir().unwrap();
     let at = |name: &str| word(&dir.path().join(name));
     let set = |images: &str, more: &[&str]| {
+        let _ = std::fs::remove_dir_all(at("set"));
         let words =
             ["datagen", "configs/presets/paper-exact.toml", "--images", images, "--set", "data.width=128", "--set", "data.height=96"];
         let out = ["--out".to_owned(), at("set")];

@@ -76,10 +76,19 @@ fn from_data_to_report_and_what_matches_is_skipped() {
         other.stderr
     );
     std::fs::remove_file(out.join("detections.jsonl")).unwrap();
-    let missing = reproduce(dir.path(), TINY, &["--only", "train", "--force", "train"]);
+    let missing = reproduce(dir.path(), TINY, &["--only", "eval"]);
     assert_eq!(missing.error(1).matches("infer: its files changed; run it first").count(), 1);
     let forced = reproduce(dir.path(), TINY, &["--force", "infer"]).good();
     assert!(forced.stderr.contains("data: still matches") && forced.stderr.contains("infer: done in"), "{}", forced.stderr);
+}
+
+#[test]
+fn one_stage_alone_asks_for_nothing_after_it() {
+    let dir = tempfile::tempdir().unwrap();
+    reproduce(dir.path(), TINY, &["--only", "data"]).good();
+    let out = dir.path().join("out");
+    assert!(out.join("data/dataset.toml").is_file() && !out.join("run").exists() && !out.join("report.html").exists());
+    assert!(reproduce(dir.path(), TINY, &["--only", "infer"]).error(1).contains("train: not done yet; run it first"));
 }
 
 #[test]

@@ -23,7 +23,7 @@ pub(crate) struct Material {
     pattern: Pattern,
     period: f32,
     joint: f32,
-    spectrum: Spectrum,
+    tile: &'static Tile,
     grain: f32,
     scale: f32,
     offset: [f32; 2],
@@ -61,7 +61,7 @@ impl Material {
             pattern: patterns[rng.weighted(&[6.0, 0.6, 0.5, 0.7, 0.9, 0.4])],
             period: rng.log_uniform(8.0, 80.0) as f32,
             joint: rng.uniform(0.03, 0.15) as f32,
-            spectrum: [Spectrum::Soft, Spectrum::Pink, Spectrum::Rough, Spectrum::Grain][rng.weighted(&[2.0, 3.0, 1.5, 1.5])],
+            tile: Tile::of([Spectrum::Soft, Spectrum::Pink, Spectrum::Rough, Spectrum::Grain][rng.weighted(&[2.0, 3.0, 1.5, 1.5])]),
             grain: rng.log_uniform(0.03, 0.45) as f32,
             scale: rng.log_uniform(0.25, 2.5) as f32,
             offset: [rng.uniform(0.0, 256.0) as f32, rng.uniform(0.0, 256.0) as f32],
@@ -79,9 +79,8 @@ impl Material {
     #[inline]
     pub(crate) fn at(&self, x: f32, y: f32) -> Linear {
         let (u, v) = (x * self.turn[0] + y * self.turn[1], y * self.turn[0] - x * self.turn[1]);
-        let tile = Tile::of(self.spectrum);
         let (tu, tv) = (u * self.scale + self.offset[0], v * self.scale + self.offset[1]);
-        let noise = if self.scale < 0.9 { tile.smooth(tu, tv) } else { tile.nearest(tu, tv) };
+        let noise = if self.scale < 0.9 { self.tile.smooth(tu, tv) } else { self.tile.nearest(tu, tv) };
         let share = match self.pattern {
             Pattern::Plain => (noise * 0.2).clamp(0.0, 1.0),
             Pattern::Stripes => step(wrap(x / self.period)),
@@ -98,7 +97,7 @@ impl Material {
                 let column = floor(x / self.period) as f32;
                 let edge = f32::from(u8::from(wrap(x / self.period) < self.joint * 0.4));
                 // Each plank has its own shade.
-                edge.max(0.5 + 0.5 * tile.nearest(column * 37.0, 11.0).clamp(-1.0, 1.0) * 0.7)
+                edge.max(0.5 + 0.5 * self.tile.nearest(column * 37.0, 11.0).clamp(-1.0, 1.0) * 0.7)
             }
             Pattern::Dots => {
                 let (a, b) = (wrap(x / self.period) - 0.5, wrap(y / self.period) - 0.5);

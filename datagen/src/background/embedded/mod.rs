@@ -17,22 +17,25 @@ mod painter;
 mod room;
 
 pub(crate) use material::Material;
+use painter::Scene;
 pub(crate) use painter::{fill, polygon};
 
 /// Moves with every change of the scenes' pixels.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 
 /// Paints a scene of the configured size; returns its name and its light.
 pub fn paint(config: &Config, rng: &mut Rng) -> (String, Canvas) {
     let kind = config::choose(&config.background.scenes, rng).unwrap_or(SceneKind::Leaves);
     let (width, height) = (config.width as usize, config.height as usize);
-    let mut canvas = Canvas::filled(width, height, color::muted(rng));
+    let behind = color::muted(rng);
+    let mut scene = Scene::new(width, height);
     match kind {
-        SceneKind::Room => room::paint(&mut canvas, rng),
-        SceneKind::Outdoors => outdoors::paint(&mut canvas, rng),
-        SceneKind::Desk => desk::paint(&mut canvas, rng),
-        SceneKind::Leaves => leaves::paint(&mut canvas, rng),
+        SceneKind::Room => room::paint(&mut scene, rng),
+        SceneKind::Outdoors => outdoors::paint(&mut scene, rng),
+        SceneKind::Desk => desk::paint(&mut scene, rng),
+        SceneKind::Leaves => leaves::paint(&mut scene, rng),
     }
+    let mut canvas = scene.paint(behind);
     if rng.chance(0.6) {
         for _ in 0..rng.int(1, 6) {
             stickers::paint(&mut canvas, rng);

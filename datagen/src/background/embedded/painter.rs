@@ -1,13 +1,102 @@
-//! Fills polygons on a canvas, antialiased, asking a shader for each pixel's colour.
+//! Fills polygons, antialiased, asking a shader for each pixel's colour: at once on a canvas, or later in a scene whose things hide one another.
 use crate::{canvas::Canvas, color::Linear};
 use tcross_dataset::Rng;
 
 /// Rows of samples a pixel; along the row coverage is exact.
 const ROWS: usize = 3;
 
+/// A pixel that lets less than this part of the light of what is behind it through is closed: half a step of 8 bits.
+const CLOSED: f32 = 1.0 / 512.0;
+
 /// Fills a polygon (even-odd) with what `shader` says of each pixel's centre: a colour and its opacity.
-pub(crate) fn fill(canvas: &mut Canvas, points: &[[f32; 2]], mut shader: impl FnMut(f32, f32) -> (Linear, f32)) {
+pub(crate) fn fill(canvas: &mut Canvas, points: &[[f32; 2]], shader: impl Fn(f32, f32) -> (Linear, f32)) {
     let (width, height) = (canvas.width, canvas.height);
+    scan(points, (width, height), |y, first, cover| {
+        let at = y * width + first..y * width + first + cover.len();
+        let [red, green, blue] = canvas.planes.each_mut().map(|plane| &mut plane[at.clone()]);
+        for ((((k, covered), r), g), b) in cover.iter().enumerate().zip(red).zip(green).zip(blue) {
+            if *covered > 0.0 {
+                let (color, alpha) = shader((first + k) as f32 + 0.5, y as f32 + 0.5);
+                let alpha = alpha * covered;
+                *r += (color[0] - *r) * alpha;
+                *g += (color[1] - *g) * alpha;
+                *b += (color[2] - *b) * alpha;
+            }
+        }
+    });
+}
+
+/// Things that hide one another, painted from the front once all of them are there, so that what is hidden costs nothing.
+pub(super) struct Scene {
+    /// In pixels.
+    pub width: usize,
+    /// In pixels.
+    pub height: usize,
+    layers: Vec<(Vec<[f32; 2]>, Box<dyn Shade>)>,
+}
+
+impl Scene {
+    pub fn new(width: usize, height: usize) -> Self {
+        Self { width, height, layers: Vec::new() }
+    }
+
+    /// Fills a polygon in front of all that is there; otherwise as [`fill`].
+    pub fn fill(&mut self, points: &[[f32; 2]], shader: impl Fn(f32, f32) -> (Linear, f32) + 'static) {
+        self.layers.push((points.to_vec(), Box::new(shader)));
+    }
+
+    /// Fills all rows from `top` to `bottom`.
+    pub fn fill_rows(&mut self, top: f32, bottom: f32, shader: impl Fn(f32, f32) -> (Linear, f32) + 'static) {
+        let width = self.width as f32;
+        self.fill(&[[0.0, top], [width, top], [width, bottom], [0.0, bottom]], shader);
+    }
+
+    /// The picture, with one colour behind everything.
+    pub fn paint(self, behind: Linear) -> Canvas {
+        let (width, height) = (self.width, self.height);
+        let mut canvas = Canvas::filled(width, height, [0.0; 3]);
+        let mut open = vec![1f32; width * height];
+        for (points, shader) in self.layers.iter().rev() {
+            scan(points, (width, height), |y, first, cover| {
+                let at = y * width + first..y * width + first + cover.len();
+                let planes = canvas.planes.each_mut().map(|plane| &mut plane[at.clone()]);
+                shader.shade((first, y), cover, &mut open[at.clone()], planes);
+            });
+        }
+        for (plane, color) in canvas.planes.iter_mut().zip(behind) {
+            plane.iter_mut().zip(&open).for_each(|(v, open)| *v += color * open);
+        }
+        canvas
+    }
+}
+
+/// A shader of a row: one call for many pixels.
+trait Shade {
+    /// Adds the light of the pixels from `(x, y)` on that are still open, and closes them by their opacity.
+    fn shade(&self, at: (usize, usize), cover: &[f32], open: &mut [f32], planes: [&mut [f32]; 3]);
+}
+
+impl<F: Fn(f32, f32) -> (Linear, f32)> Shade for F {
+    fn shade(&self, (x, y): (usize, usize), cover: &[f32], open: &mut [f32], [red, green, blue]: [&mut [f32]; 3]) {
+        for (((((k, covered), open), r), g), b) in cover.iter().enumerate().zip(open).zip(red).zip(green).zip(blue) {
+            if *covered > 0.0 && *open > 0.0 {
+                let (color, alpha) = self((x + k) as f32 + 0.5, y as f32 + 0.5);
+                let share = *open * alpha * covered;
+                *r += color[0] * share;
+                *g += color[1] * share;
+                *b += color[2] * share;
+                *open -= share;
+                if *open < CLOSED {
+                    *open = 0.0;
+                }
+            }
+        }
+    }
+}
+
+/// Walks over the rows of pixels that a polygon (even-odd) covers: `row` is told which row, the first pixel, and what share of each pixel from
+/// there on is covered.
+pub(crate) fn scan(points: &[[f32; 2]], (width, height): (usize, usize), mut row: impl FnMut(usize, usize, &[f32])) {
     let span = |k: usize, limit: usize| {
         let lo = points.iter().map(|p| p[k]).fold(f32::INFINITY, f32::min).floor().max(0.0);
         let hi = points.iter().map(|p| p[k]).fold(f32::NEG_INFINITY, f32::max).ceil().min(limit as f32);
@@ -20,32 +109,30 @@ pub(crate) fn fill(canvas: &mut Canvas, points: &[[f32; 2]], mut shader: impl Fn
     let mut cover = vec![0f32; x_max - x_min + 1];
     let mut crossings = Vec::with_capacity(8);
     for y in y_min..y_max {
-        cover.fill(0.0);
+        let (mut first, mut end) = (cover.len(), 0);
         for sample in 0..ROWS {
-            let row = y as f32 + (sample as f32 + 0.5) / ROWS as f32;
+            let at = y as f32 + (sample as f32 + 0.5) / ROWS as f32;
             crossings.clear();
             for k in 0..points.len() {
                 let (a, b) = (points[k], points[(k + 1) % points.len()]);
-                if (a[1] <= row) != (b[1] <= row) {
-                    crossings.push(a[0] + (row - a[1]) / (b[1] - a[1]) * (b[0] - a[0]));
+                if (a[1] <= at) != (b[1] <= at) {
+                    let x = a[0] + (at - a[1]) / (b[1] - a[1]) * (b[0] - a[0]);
+                    crossings.push(x.clamp(x_min as f32, x_max as f32) - x_min as f32);
                 }
             }
             crossings.sort_by(f32::total_cmp);
             for pair in crossings.as_chunks::<2>().0 {
-                add_span(
-                    &mut cover,
-                    pair[0].clamp(x_min as f32, x_max as f32) - x_min as f32,
-                    pair[1].clamp(x_min as f32, x_max as f32) - x_min as f32,
-                );
+                add_span(&mut cover, pair[0], pair[1]);
+                (first, end) = (first.min(pair[0] as usize), end.max(pair[1] as usize + 1));
             }
         }
-        for (k, covered) in cover[..x_max - x_min].iter().enumerate() {
-            if *covered > 0.0 {
-                let x = x_min + k;
-                let (color, alpha) = shader(x as f32 + 0.5, y as f32 + 0.5);
-                canvas.blend(x, y, color, alpha * covered.min(1.0));
-            }
+        // The last place is beyond the last pixel: a span that ends at the border touches it, and covers nothing of it.
+        end = end.min(x_max - x_min);
+        if first < end {
+            cover[first..end].iter_mut().for_each(|c| *c = c.min(1.0));
+            row(y, x_min + first, &cover[first..end]);
         }
+        cover[first..].fill(0.0);
     }
 }
 
@@ -87,6 +174,25 @@ mod tests {
         let sum: f32 = canvas.planes[0].iter().sum();
         let area = tcross_dataset::geom::quad::polygon_area(&points.map(|p| p.map(f64::from))) as f32;
         assert!((sum - area).abs() < 0.005 * area, "{sum} {area}");
+    }
+
+    #[test]
+    fn a_scene_painted_from_the_front_equals_one_painted_from_behind() {
+        let mut rng = Rng::for_item(0, "test/painter", 0);
+        let mut canvas = Canvas::filled(50, 40, [0.3, 0.2, 0.1]);
+        let mut scene = Scene::new(50, 40);
+        for _ in 0..60 {
+            let center = [rng.uniform(-5.0, 55.0) as f32, rng.uniform(-5.0, 45.0) as f32];
+            let points = polygon(center, rng.uniform(1.0, 20.0) as f32, rng.uniform(1.0, 20.0) as f32, 7, 0.3, &mut rng);
+            let (level, alpha) = (rng.unit() as f32, [0.3, 1.0][rng.index(2)]);
+            let shader = move |x: f32, y: f32| ([level, x / 50.0, y / 40.0], alpha);
+            fill(&mut canvas, &points, shader);
+            scene.fill(&points, shader);
+        }
+        let front = scene.paint([0.3, 0.2, 0.1]);
+        for (a, b) in canvas.planes.iter().zip(&front.planes) {
+            assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() < 2.0 * CLOSED));
+        }
     }
 
     #[test]

@@ -1,15 +1,16 @@
 //! A room: floor, ceiling, back wall and side walls in perspective, windows, pictures, furniture.
-use super::{Material, fill, leaves::shadow, polygon};
-use crate::{canvas::Canvas, color};
+use super::{Material, Scene, leaves::shadow, polygon};
+use crate::color;
 use tcross_dataset::{Homography, Rng};
 
 type Quad = [[f32; 2]; 4];
 
 /// Fills a quadrilateral with a material seen in perspective: `size` is what the quadrilateral measures in the material's units.
-fn plane(canvas: &mut Canvas, quad: &Quad, material: &Material, size: [f32; 2], shade: [f32; 2]) {
+fn plane(scene: &mut Scene, quad: &Quad, material: &Material, size: [f32; 2], shade: [f32; 2]) {
     let Some(back) = Homography::from_unit_square(&quad.map(|p| p.map(f64::from))).and_then(|h| h.inverse()) else { return };
     let m = back.0.map(|v| v as f32);
-    fill(canvas, quad, |x, y| {
+    let material = material.clone();
+    scene.fill(quad, move |x, y| {
         let w = 1.0 / (m[6] * x + m[7] * y + m[8]);
         let (u, v) = ((m[0] * x + m[1] * y + m[2]) * w, (m[3] * x + m[4] * y + m[5]) * w);
         (color::scaled(material.at(u * size[0], v * size[1]), shade[0] + (shade[1] - shade[0]) * v), 1.0)
@@ -28,8 +29,8 @@ fn inside(quad: &Quad, [u0, v0, u1, v1]: [f32; 4]) -> Quad {
     [at(u0, v0), at(u1, v0), at(u1, v1), at(u0, v1)]
 }
 
-pub(super) fn paint(canvas: &mut Canvas, rng: &mut Rng) {
-    let (w, h) = (canvas.width as f32, canvas.height as f32);
+pub(super) fn paint(scene: &mut Scene, rng: &mut Rng) {
+    let (w, h) = (scene.width as f32, scene.height as f32);
     // The back wall; its corners joined with the frame's far corners make the other four planes.
     let left = rng.uniform(0.02, 0.4) as f32 * w;
     let right = rng.uniform(0.6, 0.98) as f32 * w;
@@ -46,18 +47,18 @@ pub(super) fn paint(canvas: &mut Canvas, rng: &mut Rng) {
     let ceiling: Quad = [[left - far_x, top - far_y], [right + far_x, top - far_y], [right, top], [left, top]];
     let size = [rng.uniform(150.0, 400.0) as f32, rng.uniform(150.0, 400.0) as f32];
     let shade = |rng: &mut Rng| rng.uniform(0.5, 1.1) as f32;
-    plane(canvas, &ceiling, &side.clone().plain(), size, [0.9, 1.0]);
+    plane(scene, &ceiling, &side.clone().plain(), size, [0.9, 1.0]);
     let (a, b, c, d) = (shade(rng), shade(rng), shade(rng), shade(rng));
-    plane(canvas, &left_quad, &side, size, [a, a]);
-    plane(canvas, &right_quad, &side, size, [b, b]);
-    plane(canvas, &back, &wall, size, [c, c * 0.9]);
-    plane(canvas, &floor_quad, &floor, [size[0] * 2.0, size[1] * 2.0], [d * 0.8, d]);
+    plane(scene, &left_quad, &side, size, [a, a]);
+    plane(scene, &right_quad, &side, size, [b, b]);
+    plane(scene, &back, &wall, size, [c, c * 0.9]);
+    plane(scene, &floor_quad, &floor, [size[0] * 2.0, size[1] * 2.0], [d * 0.8, d]);
     for _ in 0..rng.int(1, 6) {
         let on = *rng.choose(&[back, back, left_quad, right_quad]);
-        hang(canvas, &on, rng);
+        hang(scene, &on, rng);
     }
     for _ in 0..rng.int(1, 7) {
-        stand(canvas, bottom, rng);
+        stand(scene, bottom, rng);
     }
     if rng.chance(0.5) {
         // A rug, or light through a window.
@@ -65,20 +66,20 @@ pub(super) fn paint(canvas: &mut Canvas, rng: &mut Rng) {
         let rug = inside(&floor_quad, [u, v, u + 0.35, v + 0.3]);
         if rng.chance(0.5) {
             let material = if rng.chance(0.5) { Material::saturated(rng) } else { Material::muted(rng) };
-            plane(canvas, &rug, &material, [160.0, 160.0], [0.9, 1.0]);
+            plane(scene, &rug, &material, [160.0, 160.0], [0.9, 1.0]);
         } else {
-            fill(canvas, &rug, |_, _| ([1.0, 0.95, 0.8], 0.35));
+            scene.fill(&rug, move |_, _| ([1.0, 0.95, 0.8], 0.35));
         }
     }
 }
 
 /// Something on a wall: a window, a picture, a shelf, a poster.
-fn hang(canvas: &mut Canvas, wall: &Quad, rng: &mut Rng) {
+fn hang(scene: &mut Scene, wall: &Quad, rng: &mut Rng) {
     let (u, v) = (rng.uniform(0.05, 0.75) as f32, rng.uniform(0.1, 0.6) as f32);
     let size = [rng.uniform(0.08, 0.4) as f32, rng.uniform(0.08, 0.4) as f32];
     let rect = [u, v, u + size[0], v + size[1]];
     let frame = Material::muted(rng).plain();
-    plane(canvas, &inside(wall, rect), &frame, [60.0, 60.0], [1.0, 0.8]);
+    plane(scene, &inside(wall, rect), &frame, [60.0, 60.0], [1.0, 0.8]);
     let edge = rng.uniform(0.03, 0.1) as f32;
     let inner = [u + size[0] * edge, v + size[1] * edge, u + size[0] * (1.0 - edge), v + size[1] * (1.0 - edge)];
     match rng.index(4) {
@@ -86,16 +87,16 @@ fn hang(canvas: &mut Canvas, wall: &Quad, rng: &mut Rng) {
             // A window: bright, with a cross of bars.
             let sky = Material::of(color::from_hsv(rng.uniform(190.0, 230.0), rng.uniform(0.0, 0.5), 1.0), rng).plain();
             let glow = rng.uniform(1.0, 2.5) as f32;
-            plane(canvas, &inside(wall, inner), &sky, [40.0, 40.0], [glow, glow * 0.8]);
+            plane(scene, &inside(wall, inner), &sky, [40.0, 40.0], [glow, glow * 0.8]);
             let bar = 0.02 + 0.03 * size[0];
             for k in 1..rng.int(2, 4) {
                 let at = u + size[0] * k as f32 / 3.0;
-                plane(canvas, &inside(wall, [at, v, at + bar * 0.3, v + size[1]]), &frame, [9.0, 90.0], [1.0, 0.9]);
+                plane(scene, &inside(wall, [at, v, at + bar * 0.3, v + size[1]]), &frame, [9.0, 90.0], [1.0, 0.9]);
             }
         }
         1 => {
             let picture = Material::saturated(rng);
-            plane(canvas, &inside(wall, inner), &picture, [80.0, 80.0], [1.0, 0.9]);
+            plane(scene, &inside(wall, inner), &picture, [80.0, 80.0], [1.0, 0.9]);
         }
         2 => {
             // A shelf with books.
@@ -104,27 +105,27 @@ fn hang(canvas: &mut Canvas, wall: &Quad, rng: &mut Rng) {
                 let thick = size[0] * rng.uniform(0.03, 0.12) as f32;
                 let spine = if rng.chance(0.5) { Material::saturated(rng) } else { Material::muted(rng) };
                 let high = inner[1] + (inner[3] - inner[1]) * rng.uniform(0.0, 0.4) as f32;
-                plane(canvas, &inside(wall, [at, high, (at + thick).min(inner[2]), inner[3]]), &spine, [12.0, 60.0], [1.0, 0.8]);
+                plane(scene, &inside(wall, [at, high, (at + thick).min(inner[2]), inner[3]]), &spine, [12.0, 60.0], [1.0, 0.8]);
                 at += thick * 1.05;
             }
         }
         _ => {
             let poster = Material::muted(rng);
-            plane(canvas, &inside(wall, inner), &poster, [80.0, 80.0], [1.0, 0.9]);
+            plane(scene, &inside(wall, inner), &poster, [80.0, 80.0], [1.0, 0.9]);
             let picture = inside(wall, inner);
             for _ in 0..rng.int(1, 4) {
                 let (a, b) = (rng.uniform(0.05, 0.6) as f32, rng.uniform(0.05, 0.6) as f32);
                 let material = Material::saturated(rng).plain();
                 let part = inside(&picture, [a, b, a + rng.uniform(0.1, 0.35) as f32, b + rng.uniform(0.1, 0.35) as f32]);
-                plane(canvas, &part, &material, [30.0, 30.0], [1.0, 1.0]);
+                plane(scene, &part, &material, [30.0, 30.0], [1.0, 1.0]);
             }
         }
     }
 }
 
 /// A piece of furniture: a box with three visible sides, a blob (a plant, a lamp, a person), or a column.
-fn stand(canvas: &mut Canvas, horizon: f32, rng: &mut Rng) {
-    let (w, h) = (canvas.width as f32, canvas.height as f32);
+fn stand(scene: &mut Scene, horizon: f32, rng: &mut Rng) {
+    let (w, h) = (scene.width as f32, scene.height as f32);
     let foot = rng.uniform(f64::from(horizon), f64::from(h) * 1.1) as f32;
     let near = ((foot - horizon) / (h - horizon) + 0.4).max(0.3);
     let (x, wide, high) =
@@ -132,8 +133,8 @@ fn stand(canvas: &mut Canvas, horizon: f32, rng: &mut Rng) {
     let material = if rng.chance(0.35) { Material::saturated(rng) } else { Material::muted(rng) };
     if rng.chance(0.3) {
         let outline = polygon([x, foot - high / 2.0], wide / 2.0, high / 2.0, 14, 0.2, rng);
-        shadow(canvas, &outline, wide * 0.1, rng);
-        fill(canvas, &outline, |px, py| (color::scaled(material.at(px, py), 0.7 + 0.6 * (px - x + wide) / (2.0 * wide)), 1.0));
+        shadow(scene, &outline, wide * 0.1, rng);
+        scene.fill(&outline, move |px, py| (color::scaled(material.at(px, py), 0.7 + 0.6 * (px - x + wide) / (2.0 * wide)), 1.0));
         return;
     }
     let deep = rng.uniform(-0.5, 0.5) as f32 * wide;
@@ -142,14 +143,14 @@ fn stand(canvas: &mut Canvas, horizon: f32, rng: &mut Rng) {
     let top: Quad = [[x + deep, foot - high - rise], [x + wide + deep, foot - high - rise], [x + wide, foot - high], [x, foot - high]];
     let edge = if deep > 0.0 { x + wide } else { x };
     let side: Quad = [[edge, foot - high], [edge + deep, foot - high - rise], [edge + deep, foot - rise], [edge, foot]];
-    shadow(canvas, &front, wide * 0.08, rng);
-    plane(canvas, &front, &material, [wide, high], [1.0, 0.7]);
-    plane(canvas, &top, &material, [wide, wide], [1.15, 1.2]);
-    plane(canvas, &side, &material, [wide, high], [0.7, 0.5]);
+    shadow(scene, &front, wide * 0.08, rng);
+    plane(scene, &front, &material, [wide, high], [1.0, 0.7]);
+    plane(scene, &top, &material, [wide, wide], [1.15, 1.2]);
+    plane(scene, &side, &material, [wide, high], [0.7, 0.5]);
     if rng.chance(0.5) {
         for k in 0..rng.int(1, 4) {
             let v = 0.08 + 0.3 * k as f32;
-            fill(canvas, &inside(&front, [0.08, v, 0.92, v + 0.02]), |_, _| ([0.02; 3], 0.6));
+            scene.fill(&inside(&front, [0.08, v, 0.92, v + 0.02]), move |_, _| ([0.02; 3], 0.6));
         }
     }
 }

@@ -79,6 +79,36 @@ impl Tile {
         let bottom = self.0[j1 * SIDE + i] + (self.0[j1 * SIDE + i1] - self.0[j1 * SIDE + i]) * u;
         top + (bottom - top) * v
     }
+
+    /// The row of a height in texels, wrapped.
+    #[must_use]
+    pub fn row(&self, y: f32) -> Row {
+        let whole = floor(y);
+        let v = y - whole as f32;
+        let row = |j: usize| &self.0[(j & (SIDE - 1)) * SIDE..][..SIDE];
+        let (upper, lower) = (row(whole as usize), row(whole as usize + 1));
+        let mut values = [0f32; SIDE + 1];
+        for ((value, a), b) in values.iter_mut().zip(upper).zip(lower) {
+            *value = a + (b - a) * v;
+        }
+        values[SIDE] = values[0];
+        Row(values)
+    }
+}
+
+/// One row of a tile, for many places of one height.
+#[derive(Debug)]
+pub struct Row([f32; SIDE + 1]);
+
+impl Row {
+    /// The value at a place in texels, wrapped: what [`Tile::smooth`] says there, but for rounding.
+    #[must_use]
+    #[inline]
+    pub fn smooth(&self, x: f32) -> f32 {
+        let whole = floor(x);
+        let i = whole as usize & (SIDE - 1);
+        self.0[i] + (self.0[i + 1] - self.0[i]) * (x - whole as f32)
+    }
 }
 
 /// The largest whole number that is not above `v`; without SSE 4.1 the standard library's is a call.
@@ -121,5 +151,8 @@ mod tests {
         let tile = Tile::of(Spectrum::Pink);
         assert_eq!(tile.nearest(3.5, 9.5), tile.nearest(3.5 + SIDE as f32, 9.5 - SIDE as f32 + SIDE as f32));
         assert!((tile.smooth(3.0, 9.0) - tile.nearest(3.0, 9.0)).abs() < 1e-6);
+        for (x, y) in [(3.3, 9.8), (-7.25, -3.5), (255.5, 255.5), (700.1, 300.9)] {
+            assert!((tile.row(y).smooth(x) - tile.smooth(x, y)).abs() < 1e-4, "{x} {y}");
+        }
     }
 }

@@ -75,7 +75,7 @@ pub struct Layers<'a> {
 }
 
 impl Film {
-    /// Looks at the layers through a view. `pad` is added around the sheet for later blur; `light` falls on the
+    /// Looks at the layers through a view. `pad` is added around what is seen for later blur; `light` falls on the
     /// sheet. `None` where nothing of it is in the image.
     pub fn render(layers: &Layers, view: &View, size: (usize, usize), pad: usize, light: &impl Light) -> Option<Self> {
         let drawn = [layers.half[0] + super::drawing::MARGIN, layers.half[1] + super::drawing::MARGIN];
@@ -87,19 +87,14 @@ impl Film {
         let reach = layers.sheet.cast.map_or(0.0, |c| f64::from(c.reach()));
         let extent = sheet.map_or([-drawn[0], -drawn[1], drawn[0], drawn[1]], |s| s.map(f64::from));
         let extent = [extent[0] - reach, extent[1] - reach, extent[2] + reach, extent[3] + reach];
-        let (x, y) = bounds(view, extent, size, pad)?;
+        let (x, y) = bounds(view, extent, size)?;
         let (width, height) = (x.len(), y.len());
-        let mut film = Self {
-            planes: std::array::from_fn(|k| vec![if k < 3 { 1.0 } else { 0.0 }; width * height]),
-            ink: vec![0.0; width * height],
-            x,
-            y,
-        };
-        let samples = film.samples(layers, view);
+        let mut film = Self::clear(x, y);
         let (columns, rows) = (width.div_ceil(CELL), height.div_ceil(CELL));
         let node = |i: usize, j: usize| view.plane_from_image([(film.x.start + i * CELL) as f64, (film.y.start + j * CELL) as f64]);
         let line = |j: usize| (0..=columns).map(|i| node(i, j).map(|p| p.map(|v| v as f32))).collect::<Vec<_>>();
         let lines: Vec<Vec<Option<[f32; 2]>>> = (0..=rows).map(line).collect();
+        let mut seen = [usize::MAX, usize::MAX, 0, 0];
         for j in 0..rows {
             for i in 0..columns {
                 let (Some(a), Some(b), Some(c), Some(d)) = (lines[j][i], lines[j][i + 1], lines[j + 1][i + 1], lines[j + 1][i]) else {
@@ -110,42 +105,59 @@ impl Film {
                     f64::from(max) > lo && f64::from(min) < hi
                 };
                 if near(0, extent[0] - 0.05, extent[2] + 0.05) && near(1, extent[1] - 0.05, extent[3] + 0.05) {
-                    film.cell(layers, sheet, samples, (i * CELL, j * CELL), [a, b, c, d], light);
+                    let (x, y) = (i * CELL, j * CELL);
+                    if film.cell(layers, sheet, (x, y), [a, b, c, d], light) {
+                        seen = [seen[0].min(x), seen[1].min(y), seen[2].max(x + CELL), seen[3].max(y + CELL)];
+                    }
                 }
             }
         }
-        Some(film)
+        // What is blurred and laid down later is as small as can be.
+        let grown = |start: usize, lo: usize, hi: usize, size: usize| (start + lo).saturating_sub(pad)..(start + hi + pad).min(size);
+        (seen[2] > 0).then(|| film.over(grown(film.x.start, seen[0], seen[2], size.0), grown(film.y.start, seen[1], seen[3], size.1)))
     }
 
-    /// Samples a pixel, along x and along y, so that none steps over more than about a cell of ink.
-    fn samples(&self, layers: &Layers, view: &View) -> (usize, usize) {
-        let scale = f64::from(layers.drawing.fill.scale);
-        let mut most = (1.0f64, 1.0f64);
-        let [w, h] = layers.half;
-        for p in [[0.0, 0.0], [-w, -h], [w, -h], [w, h], [-w, h]] {
-            let Some(at) = view.image_from_plane(p) else { continue };
-            let Some(here) = view.plane_from_image(at) else { continue };
-            let step = |d: [f64; 2]| {
-                view.plane_from_image([at[0] + d[0], at[1] + d[1]])
-                    .map_or(1.0, |q| ((q[0] - here[0]).powi(2) + (q[1] - here[1]).powi(2)).sqrt() * scale)
-            };
-            most = (most.0.max(step([0.25, 0.0]) * 4.0), most.1.max(step([0.0, 0.25]) * 4.0));
+    /// A film that changes nothing.
+    fn clear(x: Range<usize>, y: Range<usize>) -> Self {
+        let pixels = x.len() * y.len();
+        Self { x, y, planes: std::array::from_fn(|k| vec![if k < 3 { 1.0 } else { 0.0 }; pixels]), ink: vec![0.0; pixels] }
+    }
+
+    /// The same film over other pixels.
+    fn over(&self, x: Range<usize>, y: Range<usize>) -> Self {
+        let mut film = Self::clear(x, y);
+        let (left, right) = (self.x.start.max(film.x.start), self.x.end.min(film.x.end));
+        for y in self.y.start.max(film.y.start)..self.y.end.min(film.y.end) {
+            let row = |f: &Self| (y - f.y.start) * f.x.len() + left - f.x.start..(y - f.y.start) * f.x.len() + right - f.x.start;
+            let (from, to) = (row(self), row(&film));
+            film.ink[to.clone()].copy_from_slice(&self.ink[from.clone()]);
+            for (plane, source) in film.planes.iter_mut().zip(&self.planes) {
+                plane[to.clone()].copy_from_slice(&source[from.clone()]);
+            }
         }
-        let count = |cells: f64| ((cells / 1.25).ceil() as usize).clamp(1, 6);
-        (count(most.0), count(most.1))
+        film
     }
 
+    /// One cell of pixels; true where something of the layers is seen.
     fn cell(
         &mut self,
         layers: &Layers,
         sheet: Option<[f32; 4]>,
-        (nx, ny): (usize, usize),
         (x0, y0): (usize, usize),
         nodes: [[f32; 2]; 4],
         light: &impl Light,
-    ) {
+    ) -> bool {
         let (width, height) = (self.x.len(), self.y.len());
         let [a, b, c, d] = nodes;
+        let ink = &layers.drawing.fill;
+        let corners = nodes.map(|p| ink.cell(p));
+        let lo = std::array::from_fn(|k| corners.iter().map(|p| p[k]).fold(f32::INFINITY, f32::min));
+        let hi = std::array::from_fn(|k| corners.iter().map(|p| p[k]).fold(f32::NEG_INFINITY, f32::max));
+        let bare = ink.is_bare(lo, hi) && layers.drawing.lines.is_bare(lo, hi);
+        if bare && sheet.is_none() {
+            return false;
+        }
+        let mut seen = false;
         let at = |u: f32, v: f32| -> [f32; 2] {
             std::array::from_fn(|k| {
                 let (top, bottom) = (a[k] + (b[k] - a[k]) * u, d[k] + (c[k] - d[k]) * u);
@@ -155,6 +167,9 @@ impl Film {
         // The size of a pixel on the sheet, for edges and rules.
         let across = |p: [f32; 2], q: [f32; 2]| ((p[0] - q[0]).powi(2) + (p[1] - q[1]).powi(2)).sqrt() / CELL as f32;
         let footprint = ((across(a, b) * across(a, d)).sqrt()).max(1e-5);
+        // Samples a pixel, along x and along y, so that none steps over much more than a cell of ink.
+        let samples = |step: f32| ((step * ink.scale / 1.4).ceil() as usize).clamp(1, 6);
+        let (nx, ny) = (samples(across(a, b).max(across(d, c))), samples(across(a, d).max(across(b, c))));
         // Light changes slowly: over a cell it is a plane.
         let (px, py) = ((self.x.start + x0) as f32 + 0.5, (self.y.start + y0) as f32 + 0.5);
         let (level, tone) = (light.level(px, py), light.tone());
@@ -180,15 +195,15 @@ impl Film {
                     cast.depth * (0.5 + under / (2.0 * cast.soft.max(footprint))).clamp(0.0, 1.0)
                 });
                 let (mut fill, mut line) = (0.0, 0.0);
-                let ink = &layers.drawing.fill;
-                let corner = ink.cell(middle);
-                if corner[0] > -2.0 && corner[1] > -2.0 && corner[0] < ink.width as f32 + 2.0 && corner[1] < ink.height as f32 + 2.0 {
+                if !bare {
                     for j in 0..ny {
                         for i in 0..nx {
                             let p = at(u + one * (i as f32 + 0.5) / nx as f32, v + one * (j as f32 + 0.5) / ny as f32);
                             let [cx, cy] = ink.cell(p);
-                            fill += ink.at(cx, cy);
-                            line += layers.drawing.lines.at(cx, cy);
+                            if let Some(spot) = ink.spot(cx, cy) {
+                                fill += ink.at(&spot);
+                                line += layers.drawing.lines.at(&spot);
+                            }
                         }
                     }
                     fill *= weight;
@@ -197,6 +212,7 @@ impl Film {
                 if paper <= 0.0 && fill <= 0.0 && line <= 0.0 && shadow <= 0.0 {
                     continue;
                 }
+                seen = true;
                 let (fill_through, fill_own) = layers.fill.at(fill);
                 let (line_through, line_own) = layers.line.at(line);
                 let level = level + slope[0] * (x - x0) as f32 + slope[1] * (y - y0) as f32;
@@ -222,16 +238,12 @@ impl Film {
                 self.ink[k] = fill.max(line).min(1.0);
             }
         }
+        seen
     }
 }
 
 /// The pixels over which a rectangle of the sheet reaches.
-fn bounds(
-    view: &View,
-    [left, top, right, bottom]: [f64; 4],
-    (width, height): (usize, usize),
-    pad: usize,
-) -> Option<(Range<usize>, Range<usize>)> {
+fn bounds(view: &View, [left, top, right, bottom]: [f64; 4], (width, height): (usize, usize)) -> Option<(Range<usize>, Range<usize>)> {
     let (mut lo, mut hi) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
     for k in 0..=8 {
         let t = f64::from(k) / 8.0;
@@ -244,8 +256,7 @@ fn bounds(
             }
         }
     }
-    let range =
-        |lo: f64, hi: f64, size: usize| ((lo - 1.0).max(0.0) as usize).saturating_sub(pad)..((hi.max(0.0) + 2.0) as usize + pad).min(size);
+    let range = |lo: f64, hi: f64, size: usize| (lo - 1.0).max(0.0) as usize..((hi.max(0.0) + 2.0) as usize).min(size);
     let (x, y) = (range(lo[0], hi[0], width), range(lo[1], hi[1], height));
     (!x.is_empty() && !y.is_empty()).then_some((x, y))
 }

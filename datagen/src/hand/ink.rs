@@ -1,5 +1,6 @@
 //! Ink on a sheet: strokes laid down one after another on a fine grid of densities.
 use crate::{
+    background::embedded::scan,
     media::Nature,
     noise::{Spectrum, Tile},
 };
@@ -53,91 +54,122 @@ impl Ink {
         [(x - self.origin[0]) * self.scale, (y - self.origin[1]) * self.scale]
     }
 
-    /// Lays one stroke over what is there. Within a stroke segments do not darken each other; over earlier strokes the density adds up.
+    /// Lays one stroke over what is there. Within a stroke segments do not darken each other: each cell belongs to the part of the stroke that
+    /// is nearest to it, in radii. Over earlier strokes the density adds up.
     pub fn stroke(&mut self, touches: &[Touch], nature: &Nature, offset: [f32; 2]) {
-        let reach = |t: &Touch| t.radius * self.scale + 1.0;
-        let cells: Vec<[f32; 2]> = touches.iter().map(|t| self.cell(t.at)).collect();
-        let low = |k: usize| cells.iter().zip(touches).map(|(c, t)| c[k] - reach(t)).fold(f32::INFINITY, f32::min).max(0.0) as usize;
+        let segments = self.segments(touches);
+        let reach = |s: &Segment| s.radius[0].max(s.radius[1]) * (1.0 + 0.5 * nature.soft) + 1.0;
+        let low = |k: usize| segments.iter().map(|s| s.from[k].min(s.to(k)) - reach(s)).fold(f32::INFINITY, f32::min).max(0.0) as usize;
         let high = |k: usize, limit: usize| {
-            (cells.iter().zip(touches).map(|(c, t)| c[k] + reach(t)).fold(0.0, f32::max).ceil() as usize + 1).min(limit)
+            (segments.iter().map(|s| s.from[k].max(s.to(k)) + reach(s)).fold(0.0, f32::max).ceil() as usize + 1).min(limit)
         };
         let (x0, y0, x1, y1) = (low(0), low(1), high(0, self.width), high(1, self.height));
         if x0 >= x1 || y0 >= y1 {
             return;
         }
         let (w, h) = (x1 - x0, y1 - y0);
-        let mut layer = vec![0f32; w * h];
-        let mut walked = 0.0;
-        for k in 1..touches.len() {
-            let (a, b) = (cells[k - 1], cells[k]);
-            let (ra, rb) = (touches[k - 1].radius * self.scale, touches[k].radius * self.scale);
-            let (fa, fb) = (touches[k - 1].flow, touches[k].flow);
-            let d = [b[0] - a[0], b[1] - a[1]];
-            let length2 = (d[0] * d[0] + d[1] * d[1]).max(1e-9);
-            let length = length2.sqrt();
-            let r = ra.max(rb) + 1.0;
-            let span = |lo: f32, hi: f32, first: usize, n: usize| {
-                ((lo - r - first as f32).max(0.0) as usize, (((hi + r - first as f32).ceil().max(0.0)) as usize + 1).min(n))
+        // The squared distance in radii, and where on the stroke: the segment's number and how far along it.
+        let (mut nearest, mut places) = (vec![f32::INFINITY; w * h], vec![0f32; w * h]);
+        for (k, s) in segments.iter().enumerate().filter(|(_, s)| s.flow != [0.0, 0.0]) {
+            let (d, r) = (s.d, reach(s));
+            let span = |axis: usize, first: usize, n: usize| {
+                let (lo, hi) = (s.from[axis].min(s.to(axis)) - r - first as f32, s.from[axis].max(s.to(axis)) + r - first as f32);
+                (lo.max(0.0) as usize, (hi.max(0.0).ceil() as usize + 1).min(n))
             };
-            let ((i0, i1), (j0, j1)) = (span(a[0].min(b[0]), a[0].max(b[0]), x0, w), span(a[1].min(b[1]), a[1].max(b[1]), y0, h));
-            let inverse = 1.0 / length2;
-            if i0 < i1 && j0 < j1 {
-                self.mark((x0 + i0, x0 + i1), (y0 + j0, y0 + j1));
+            let ((i0, i1), (j0, j1)) = (span(0, x0, w), span(1, y0, h));
+            if i0 >= i1 || j0 >= j1 {
+                continue;
             }
+            self.mark((x0 + i0, x0 + i1), (y0 + j0, y0 + j1));
+            let inverse = 1.0 / (s.length * s.length);
+            let grows = s.radius[1] - s.radius[0];
             for j in j0..j1 {
-                let py = (y0 + j) as f32 + 0.5 - a[1];
-                for i in i0..i1 {
-                    let px = (x0 + i) as f32 + 0.5 - a[0];
+                let py = (y0 + j) as f32 + 0.5 - s.from[1];
+                // No cell farther from the segment's line than its reach belongs to it.
+                let (mut left, mut right) = (i0, i1);
+                if d[1].abs() > 1e-3 {
+                    let (middle, half) = (py * d[0] / d[1] + s.from[0] - x0 as f32, r * s.length / d[1].abs());
+                    left = left.max((middle - half - 1.0).max(0.0) as usize);
+                    right = right.min((middle + half + 1.0).max(0.0) as usize);
+                }
+                let row = j * w + left.min(right)..j * w + right;
+                let first = (x0 + left) as f32 + 0.5 - s.from[0];
+                for (i, (near, place)) in nearest[row.clone()].iter_mut().zip(&mut places[row]).enumerate() {
+                    let px = first + i as f32;
                     let t = ((px * d[0] + py * d[1]) * inverse).clamp(0.0, 1.0);
                     let (ex, ey) = (px - t * d[0], py - t * d[1]);
-                    let distance2 = ex * ex + ey * ey;
-                    let radius = ra + (rb - ra) * t;
-                    if distance2 > (radius + 1.0) * (radius + 1.0) {
-                        continue;
-                    }
-                    // How far from the rim, in cells; a soft medium fades over a part of the radius, all others over one cell.
-                    let fade = 1.0 + nature.soft * radius;
-                    let full = radius - 0.5 * fade;
-                    let cover = if full > 0.0 && distance2 < full * full {
-                        1.0
-                    } else {
-                        ((radius - distance2.sqrt()) / fade + 0.5).clamp(0.0, 1.0)
-                    };
-                    let from_middle2 = (distance2 / (radius * radius).max(0.01)).min(1.0);
-                    let flow = (fa + (fb - fa) * t) * (1.0 + nature.rim * (from_middle2 - 0.35));
-                    let cell = &mut layer[j * w + i];
-                    if cover * flow <= *cell {
-                        continue;
-                    }
-                    let streak = if nature.streaks > 0.0 {
-                        // Streaks follow the stroke: fine across it, long along it.
-                        let side = (px * d[1] - py * d[0]) / length;
-                        let (u, v) = (side / self.scale * 900.0 + offset[0], (walked + t * length) / self.scale * 60.0 + offset[1]);
-                        1.0 - nature.streaks * 0.5 * (1.0 + Tile::of(Spectrum::Pink).nearest(u, v)).clamp(0.0, 1.5)
-                    } else {
-                        1.0
-                    };
-                    *cell = cell.max(cover * (flow * streak).max(0.0));
+                    let radius = s.radius[0] + grows * t;
+                    let distance2 = (ex * ex + ey * ey) / (radius * radius);
+                    *place = if distance2 < *near { k as f32 + t } else { *place };
+                    *near = near.min(distance2);
                 }
             }
-            walked += length;
         }
+        let streaks = Tile::of(Spectrum::Pink);
         for j in 0..h {
             let row = &mut self.density[(y0 + j) * self.width + x0..][..w];
-            for (ink, laid) in row.iter_mut().zip(&layer[j * w..]) {
-                *ink += laid;
+            for (i, ((ink, near), place)) in row.iter_mut().zip(&nearest[j * w..]).zip(&places[j * w..]).enumerate() {
+                if *near == f32::INFINITY {
+                    continue;
+                }
+                let k = (*place as usize).min(segments.len() - 1);
+                let (s, t) = (&segments[k], *place - k as f32);
+                let radius = s.radius[0] + (s.radius[1] - s.radius[0]) * t;
+                // How far from the rim, in cells; a soft medium fades over a part of the radius, all others over one cell.
+                let cover = ((radius - near.sqrt() * radius) / (1.0 + nature.soft * radius) + 0.5).clamp(0.0, 1.0);
+                if cover <= 0.0 {
+                    continue;
+                }
+                let flow = (s.flow[0] + (s.flow[1] - s.flow[0]) * t) * (1.0 + nature.rim * (near.min(1.0) - 0.35));
+                let streak = if nature.streaks > 0.0 {
+                    // Streaks follow the stroke: fine across it, long along it.
+                    let (px, py) = ((x0 + i) as f32 + 0.5 - s.from[0], (y0 + j) as f32 + 0.5 - s.from[1]);
+                    let side = (px * s.d[1] - py * s.d[0]) / s.length;
+                    let (u, v) = (side / self.scale * 900.0 + offset[0], (s.walked + t * s.length) / self.scale * 60.0 + offset[1]);
+                    1.0 - nature.streaks * 0.5 * (1.0 + streaks.nearest(u, v)).clamp(0.0, 1.5)
+                } else {
+                    1.0
+                };
+                *ink += cover * (flow * streak).max(0.0);
             }
         }
     }
 
-    /// Covers a convex polygon, in sides, with one even layer.
+    /// The straight pieces of a stroke, in cells: as long as they differ from the touches by less than anyone sees.
+    fn segments(&self, touches: &[Touch]) -> Vec<Segment> {
+        const PLACE: f32 = 0.04;
+        const FLOW: f32 = 0.02;
+        let straight = |from: usize, to: usize| {
+            let (a, b) = (&touches[from], &touches[to]);
+            (from + 1..to).all(|k| {
+                let (m, t) = (&touches[k], (k - from) as f32 / (to - from) as f32);
+                let off = |a: f32, b: f32, m: f32| (a + (b - a) * t - m).abs();
+                let place = off(a.at[0], b.at[0], m.at[0]).max(off(a.at[1], b.at[1], m.at[1])).max(off(a.radius, b.radius, m.radius));
+                place * self.scale < PLACE && off(a.flow, b.flow, m.flow) < FLOW
+            })
+        };
+        let (mut segments, mut from, mut walked) = (Vec::new(), 0, 0.0);
+        while from + 1 < touches.len() {
+            let to = (from + 2..touches.len()).take_while(|to| straight(from, *to)).last().unwrap_or(from + 1);
+            let (a, b) = (&touches[from], &touches[to]);
+            let (start, end) = (self.cell(a.at), self.cell(b.at));
+            let d = [end[0] - start[0], end[1] - start[1]];
+            let length = (d[0] * d[0] + d[1] * d[1]).max(1e-9).sqrt();
+            let radius = [a, b].map(|t| (t.radius * self.scale).max(0.1));
+            segments.push(Segment { from: start, d, length, walked, radius, flow: [a.flow, b.flow] });
+            walked += length;
+            from = to;
+        }
+        segments
+    }
+
+    /// Covers a polygon, in sides, with one even layer.
     pub fn flood(&mut self, outline: &[[f32; 2]], flow: f32) {
         let cells: Vec<[f32; 2]> = outline.iter().map(|p| self.cell(*p)).collect();
-        let mut canvas = crate::canvas::Canvas::filled(self.width, self.height, [0.0; 3]);
-        crate::background::embedded::fill(&mut canvas, &cells, |_, _| ([flow; 3], 1.0));
-        for (ink, laid) in self.density.iter_mut().zip(&canvas.planes[0]) {
-            *ink += laid;
-        }
+        let width = self.width;
+        scan(&cells, (width, self.height), |y, x, cover| {
+            self.density[y * width + x..].iter_mut().zip(cover).for_each(|(ink, covered)| *ink += flow * covered);
+        });
         let span = |k: usize| {
             let lo = cells.iter().map(|c| c[k]).fold(f32::INFINITY, f32::min).max(0.0);
             (lo as usize, cells.iter().map(|c| c[k]).fold(0.0, f32::max).ceil() as usize)
@@ -162,35 +194,79 @@ impl Ink {
         let (rough, slow) = (Tile::of(Spectrum::Rough), Tile::of(Spectrum::Pink));
         let fine = 1.0 / (nature.grain_size * self.scale) * 3.0;
         let broad = 40.0 / self.scale;
-        for y in 0..self.height {
-            for (x, ink) in self.density[y * self.width..][..self.width].iter_mut().enumerate() {
-                if *ink > 0.0 {
-                    let (x, y) = (x as f32, y as f32);
-                    let bare = (rough.smooth(x * fine + offset[0], y * fine + offset[1]) + 2.2 * nature.grain - 1.6).clamp(0.0, 1.0);
-                    let depth = 1.0 + nature.uneven * slow.smooth(x * broad + offset[1], y * broad + offset[0]).clamp(-1.5, 1.5);
-                    *ink *= (1.0 - bare * nature.grain.min(0.9) * 1.1).max(0.0) * depth.max(0.2);
-                }
+        let kept = nature.grain.min(0.9) * 1.1;
+        for (y, row) in self.density.chunks_exact_mut(self.width).enumerate() {
+            if row.iter().all(|ink| *ink <= 0.0) {
+                continue;
+            }
+            let (rough, slow) = (rough.row(y as f32 * fine + offset[1]), slow.row(y as f32 * broad + offset[0]));
+            for (x, ink) in row.iter_mut().enumerate().filter(|(_, ink)| **ink > 0.0) {
+                let bare = (rough.smooth(x as f32 * fine + offset[0]) + 2.2 * nature.grain - 1.6).clamp(0.0, 1.0);
+                let depth = 1.0 + nature.uneven * slow.smooth(x as f32 * broad + offset[1]).clamp(-1.5, 1.5);
+                *ink *= (1.0 - bare * kept).max(0.0) * depth.max(0.2);
             }
         }
     }
 
-    /// Density at a place in cells, bilinear; 0 outside.
+    /// Whether there is no ink between two places in cells.
+    #[must_use]
+    pub fn is_bare(&self, lo: [f32; 2], hi: [f32; 2]) -> bool {
+        let columns = self.width.div_ceil(BLOCK);
+        let blocks = |k: usize, cells: usize| {
+            let block = |v: f32| (v.max(0.0) as usize).min(cells - 1) / BLOCK;
+            block(lo[k] - 0.5)..=block(hi[k] - 0.5)
+        };
+        blocks(1, self.height).all(|j| self.inked[j * columns..][blocks(0, self.width)].iter().all(|inked| !inked))
+    }
+
+    /// Where a place in cells is on this grid and all of its size; `None` outside.
     #[must_use]
     #[inline]
-    pub fn at(&self, x: f32, y: f32) -> f32 {
+    pub fn spot(&self, x: f32, y: f32) -> Option<Spot> {
         let (x, y) = (x - 0.5, y - 0.5);
         if x < 0.0 || y < 0.0 || x >= (self.width - 1) as f32 || y >= (self.height - 1) as f32 {
-            return 0.0;
+            return None;
         }
         let (i, j) = (x as usize, y as usize);
-        if !self.inked[j / BLOCK * self.width.div_ceil(BLOCK) + i / BLOCK] {
+        let block = j / BLOCK * self.width.div_ceil(BLOCK) + i / BLOCK;
+        Some(Spot { cell: j * self.width + i, block, share: [x - i as f32, y - j as f32] })
+    }
+
+    /// Density at a spot, bilinear.
+    #[must_use]
+    #[inline]
+    pub fn at(&self, spot: &Spot) -> f32 {
+        if !self.inked[spot.block] {
             return 0.0;
         }
-        let (u, v) = (x - i as f32, y - j as f32);
-        let row = &self.density[j * self.width + i..];
+        let (row, [u, v]) = (&self.density[spot.cell..], spot.share);
         let (a, b, c, d) = (row[0], row[1], row[self.width], row[self.width + 1]);
         let (top, bottom) = (a + (b - a) * u, c + (d - c) * u);
         top + (bottom - top) * v
+    }
+}
+
+/// A place on a grid of cells.
+#[derive(Debug, Clone, Copy)]
+pub struct Spot {
+    cell: usize,
+    block: usize,
+    share: [f32; 2],
+}
+
+/// A straight piece of a stroke, in cells: its start, the way to its end, what was drawn of the stroke before it, radius and flow at both ends.
+struct Segment {
+    from: [f32; 2],
+    d: [f32; 2],
+    length: f32,
+    walked: f32,
+    radius: [f32; 2],
+    flow: [f32; 2],
+}
+
+impl Segment {
+    fn to(&self, k: usize) -> f32 {
+        self.from[k] + self.d[k]
     }
 }
 
@@ -198,6 +274,10 @@ impl Ink {
 mod tests {
     use super::*;
     use crate::media::Medium;
+
+    fn at(ink: &Ink, x: f32, y: f32) -> f32 {
+        ink.spot(x, y).map_or(0.0, |spot| ink.at(&spot))
+    }
 
     #[test]
     fn a_stroke_covers_its_area_and_its_middle_is_its_axis() {
@@ -220,9 +300,9 @@ mod tests {
         ink.flood(&[[-0.3, 0.1], [-0.1, 0.1], [-0.2, 0.3]], 1.0);
         for y in 1..ink.height - 1 {
             for x in 1..ink.width - 1 {
-                let seen = ink.at(x as f32 + 0.5, y as f32 + 0.5);
+                let seen = at(&ink, x as f32 + 0.5, y as f32 + 0.5);
                 assert!((seen - ink.density[y * ink.width + x]).abs() < 1e-6, "{x} {y}");
-                let between = ink.at(x as f32 + 1.0, y as f32 + 1.0);
+                let between = at(&ink, x as f32 + 1.0, y as f32 + 1.0);
                 let four = [0, 1, ink.width, ink.width + 1].map(|k| ink.density[y * ink.width + x + k]).iter().sum::<f32>() / 4.0;
                 assert!((between - four).abs() < 1e-5, "{x} {y}");
             }
@@ -237,6 +317,6 @@ mod tests {
         ink.stroke(&line, &plain, [0.0; 2]);
         ink.stroke(&line, &plain, [0.0; 2]);
         let middle = ink.cell([0.0, 0.0]);
-        assert!((ink.at(middle[0], middle[1]) - 2.0).abs() < 1e-5);
+        assert!((at(&ink, middle[0], middle[1]) - 2.0).abs() < 1e-5);
     }
 }

@@ -139,8 +139,9 @@ impl Spec {
     pub(super) fn look(&self, canvas: &Canvas, view: &View) -> Look<'_> {
         let mut rng = Rng::for_item(self.seed, "datagen/marker/look", 0);
         let [w, h] = self.stance.half;
-        let scale =
-            [[0.0, 0.0], [-w, -h], [w, -h], [w, h], [-w, h]].into_iter().filter_map(|p| view.scales(p)).map(|s| s.0).fold(8.0, f64::max);
+        // A cell a pixel where the sheet is nearest, between the direction in which it is seen straight and the one in which it is foreshortened.
+        let cells = |p| view.scales(p).map(|(largest, smallest)| (largest + smallest) / 2.0);
+        let scale = [[0.0, 0.0], [-w, -h], [w, -h], [w, h], [-w, h]].into_iter().filter_map(cells).fold(8.0, f64::max);
         let (fill, line) = (self.medium.nature(), self.line_medium.nature());
         let plan = Plan { shape: self.shape, half: self.stance.half, fill: &fill, line: &line, scale: scale.clamp(40.0, 640.0) as f32 };
         let drawing = plan.draw(&self.hand, Rng::for_item(self.seed, "datagen/marker/hand", 0));

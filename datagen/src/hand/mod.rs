@@ -178,11 +178,16 @@ fn paint(canvas: &mut Canvas, spec: &Spec, view: &View, light: &PhotoLight, soft
     let occluder = spec.occluder(&corners);
     let (mask, bounds) = visible(&film, occluder.as_ref().map(|o| o.1.as_slice()))?;
     let (width, height) = (film.x.len(), film.y.len());
-    for plane in &mut film.planes {
+    // Most films let the same part of each colour through: none below a sheet, all beside it.
+    let grey = film.planes[0] == film.planes[1] && film.planes[0] == film.planes[2];
+    for plane in &mut film.planes[if grey { 2 } else { 0 }..] {
         effects::soften(plane, width, height, softness as f32);
         if let Some(blur) = motion {
             blur.apply(plane, width, height);
         }
+    }
+    if grey {
+        (film.planes[0], film.planes[1]) = (film.planes[2].clone(), film.planes[2].clone());
     }
     spec.blend.lay(canvas, &film, light.grain, light.seed);
     if let Some((_, outline)) = &occluder {

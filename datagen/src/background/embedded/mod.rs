@@ -18,7 +18,7 @@ mod room;
 
 pub(crate) use material::Material;
 use painter::Scene;
-pub(crate) use painter::{fill, polygon};
+pub(crate) use painter::{fill, polygon, scan};
 
 /// Moves with every change of the scenes' pixels.
 pub const VERSION: u32 = 2;

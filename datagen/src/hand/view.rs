@@ -52,8 +52,8 @@ pub struct Pose {
     pub translation: [f64; 3],
     /// Curvature of the paper: side over radius; 0 is flat.
     pub bend: f64,
-    /// Direction in the marker's plane along which it bends, in radians.
-    pub bend_rad: f64,
+    /// Direction in the marker's plane along which it bends: cosine and sine.
+    pub bend_along: [f64; 2],
 }
 
 impl Pose {
@@ -63,7 +63,7 @@ impl Pose {
         let p = if self.bend == 0.0 {
             [x, y, 0.0]
         } else {
-            let (c, s) = (libm::cos(self.bend_rad), libm::sin(self.bend_rad));
+            let [c, s] = self.bend_along;
             let (along, across) = (x * c + y * s, y * c - x * s);
             let turn = self.bend * along;
             let bent = libm::sin(turn) / self.bend;
@@ -90,44 +90,33 @@ impl View {
         self.camera.project(self.pose.apply(p))
     }
 
-    /// The point of the sheet seen at a pixel; `None` where the sheet's plane is not before the camera.
+    /// The point of the sheet seen at a pixel; `None` where the sheet is not before the camera.
     #[must_use]
     pub fn plane_from_image(&self, pixel: [f64; 2]) -> Option<[f64; 2]> {
         let [u, v] = self.camera.ray(pixel);
-        let (r, t) = (&self.pose.rotation, &self.pose.translation);
-        let normal = [r[2], r[5], r[8]];
-        let facing = normal[0] * u + normal[1] * v + normal[2];
-        let depth = (normal[0] * t[0] + normal[1] * t[1] + normal[2] * t[2]) / facing;
-        if facing.abs() < 1e-6 || depth < 1e-3 {
+        let Pose { rotation: r, translation: t, bend, bend_along: [c, s] } = &self.pose;
+        // In the sheet's frame, turned so that it bends along the first axis: the camera's place, and the ray's direction.
+        let sheet = |p: [f64; 3]| {
+            let [x, y, z]: [f64; 3] = std::array::from_fn(|k| r[k] * p[0] + r[3 + k] * p[1] + r[6 + k] * p[2]);
+            [x * c + y * s, y * c - x * s, z]
+        };
+        let (o, d) = (sheet(t.map(|v| -v)), sheet([u, v, 1.0]));
+        // The sheet is a part of the cylinder bend (x² + z²) = 2 z: a quadratic equation for the depth, of whose answers the one is wanted at
+        // which the ray comes through from the front.
+        let squared = bend * (d[0] * d[0] + d[2] * d[2]);
+        let half = bend * (o[0] * d[0] + o[2] * d[2]) - d[2];
+        let constant = bend * (o[0] * o[0] + o[2] * o[2]) - 2.0 * o[2];
+        let root = (half * half - squared * constant).sqrt();
+        let depth = if half < 0.0 { constant / (root - half) } else { -(root + half) / squared };
+        if !(depth >= 1e-3) {
             return None;
         }
-        let d = [u * depth - t[0], v * depth - t[1], depth - t[2]];
-        let mut p = [r[0] * d[0] + r[3] * d[1] + r[6] * d[2], r[1] * d[0] + r[4] * d[1] + r[7] * d[2]];
-        if self.pose.bend != 0.0 {
-            // Newton's method from the flat sheet's answer; two variables, derivatives by differences.
-            const STEP: f64 = 1e-4;
-            let seen = |p| {
-                let [x, y, z] = self.pose.apply(p);
-                (z > 1e-3).then(|| [x / z - u, y / z - v])
-            };
-            for _ in 0..3 {
-                let (at, right, down) = (seen(p)?, seen([p[0] + STEP, p[1]])?, seen([p[0], p[1] + STEP])?);
-                let (a, b) = ((right[0] - at[0]) / STEP, (down[0] - at[0]) / STEP);
-                let (c, d) = ((right[1] - at[1]) / STEP, (down[1] - at[1]) / STEP);
-                let det = a * d - b * c;
-                if det.abs() < 1e-12 {
-                    return None;
-                }
-                p = [p[0] - (d * at[0] - b * at[1]) / det, p[1] - (a * at[1] - c * at[0]) / det];
-            }
-            // Where the way back has not been found, or leads to where the sheet has turned away, nothing of the sheet is seen.
-            let [du, dv] = seen(p)?;
-            let along = p[0] * libm::cos(self.pose.bend_rad) + p[1] * libm::sin(self.pose.bend_rad);
-            if du.abs().max(dv.abs()) > 5e-4 || (self.pose.bend * along).abs() > 1.5 {
-                return None;
-            }
-        }
-        (p[0].is_finite() && p[1].is_finite() && p[0].abs() < 1e3 && p[1].abs() < 1e3).then_some(p)
+        let [bent, across, rise]: [f64; 3] = std::array::from_fn(|k| o[k] + depth * d[k]);
+        let turn = libm::atan2(bend * bent, 1.0 - bend * rise);
+        let along = if *bend == 0.0 { bent } else { turn / bend };
+        // A sheet that turned farther would be a tube.
+        let p = [along * c - across * s, along * s + across * c];
+        (turn.abs() <= 1.5 && p.iter().all(|v| v.abs() < 1e3)).then_some(p)
     }
 
     /// Angle between the sheet's normal at its middle and the line of sight, in radians.
@@ -181,7 +170,12 @@ impl Stance {
     fn pose(&self, camera: &Camera, at: [f64; 2], depth: f64) -> Pose {
         let [u, v] = camera.ray(at);
         let rotation = product(&to_ray(u, v), &product(&turn(self.azimuth), &product(&lean(self.tilt), &turn(self.roll - self.azimuth))));
-        Pose { rotation, translation: [u * depth, v * depth, depth], bend: self.bend.0, bend_rad: self.bend.1 }
+        Pose {
+            rotation,
+            translation: [u * depth, v * depth, depth],
+            bend: self.bend.0,
+            bend_along: [libm::cos(self.bend.1), libm::sin(self.bend.1)],
+        }
     }
 
     fn quad(&self, view: &View) -> Option<Quad> {

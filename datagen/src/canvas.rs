@@ -41,7 +41,7 @@ impl Canvas {
         let mut raw = vec![0u8; self.width * self.height * 3];
         let [red, green, blue] = &self.planes;
         for (((out, r), g), b) in raw.as_chunks_mut::<3>().0.iter_mut().zip(red).zip(green).zip(blue) {
-            let stored = |v: f32| table[(v.clamp(0.0, 1.0) * top + 0.5) as usize];
+            let stored = |v: f32| table[usize::from((v.clamp(0.0, 1.0) * top + 0.5) as u16)];
             *out = [stored(*r), stored(*g), stored(*b)];
         }
         RgbImage::from_raw(self.width as u32, self.height as u32, raw).unwrap_or_default()
@@ -59,14 +59,6 @@ impl Canvas {
         let k = y * self.width + x;
         for (plane, v) in self.planes.iter_mut().zip(color) {
             plane[k] = v;
-        }
-    }
-
-    /// Lays a colour over a pixel with an opacity of 0..1.
-    pub fn blend(&mut self, x: usize, y: usize, color: Linear, alpha: f32) {
-        let k = y * self.width + x;
-        for (plane, v) in self.planes.iter_mut().zip(color) {
-            plane[k] += (v - plane[k]) * alpha;
         }
     }
 

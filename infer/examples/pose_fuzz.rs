@@ -3,6 +3,7 @@
 //! cropped, stretched, greyed, blackened and cut besides those made up.
 #![allow(clippy::print_stdout)]
 #[path = "../tests/integration/scene.rs"]
+#[allow(clippy::expect_used, reason = "a helper of tests")]
 #[allow(dead_code)]
 mod scene;
 

@@ -47,11 +47,11 @@ impl FeatureCache {
             let values: Vec<f32> = images.iter().flat_map(|image| image[k].iter().copied()).collect();
             Tensor::from_data(TensorData::new(values, [images.len(), height, width, channels]), device)
         });
-        Some(place.with_tensors(tensors))
+        place.with_tensors(tensors)
     }
 
     fn keep(&mut self, sources: &[Vec<usize>], features: &Features) {
-        let values: Vec<Vec<f32>> = features.tensors().map(|t| t.clone().try_into_vec_as().expect("features are f32")).collect();
+        let values = features.values();
         let bytes: usize = values.iter().map(|v| size_of_val(v.as_slice()) / sources.len()).sum();
         for (index, source) in sources.iter().enumerate() {
             let Some(&image) = source.first() else { continue };

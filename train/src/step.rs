@@ -75,6 +75,7 @@ impl Trainer {
     /// # Errors
     /// If a truth is out of range.
     pub fn step(&mut self, batch: Batch, rate: f64, step: u64) -> Result<StepOutput, TrainError> {
+        #[expect(clippy::expect_used, reason = "made in `new`, and put back on every way out of this function")]
         let network = self.network.take().expect("every step puts the network back");
         let net = batch.request.input.net;
         let shape = [batch.truths.len(), 3, net.height, net.width];
@@ -95,6 +96,7 @@ impl Trainer {
             let shape = head.dims();
             ops::seed(self.path, head, Tensor::from_data(TensorData::new(gradient, shape), &self.device))
         });
+        #[expect(clippy::expect_used, reason = "`ModelConfig::validate` refuses networks without a head")]
         let surrogate = surrogate.reduce(|a, b| a + b).expect("a network has a head");
         let mut collected = Collect { gradients: surrogate.backward(), values: Vec::new() };
         network.visit(&mut collected);
@@ -140,6 +142,7 @@ impl Trainer {
     }
 }
 
+#[expect(clippy::expect_used, reason = "parameters and their gradients are made of f32 in `ConvBlock::new`")]
 fn floats(data: &TensorData) -> &[f32] {
     data.as_slice::<f32>().expect("parameters and gradients are f32")
 }
@@ -184,6 +187,7 @@ impl ModuleMapper for Update<'_> {
         let (id, tensor, mapper) = param.consume();
         let device = tensor.device();
         let mut data = tensor.inner().into_data();
+        #[expect(clippy::expect_used, reason = "parameters are made of f32 in `ConvBlock::new`")]
         let values = data.as_mut_slice::<f32>().expect("parameters are f32");
         match &self.directions[at] {
             Some(direction) => self.rule.stride(values, direction),

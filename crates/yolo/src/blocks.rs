@@ -157,6 +157,8 @@ pub fn residual(squeeze: &ConvBlock, expand: &ConvBlock, x: Tensor<4>, path: Pat
     x.clone() + expand.forward(squeeze.forward(x, path), path)
 }
 
-fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+/// A tensor's values, row-major.
+#[expect(clippy::expect_used, reason = "a float tensor of any backend turns into f32")]
+pub(crate) fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
     tensor.try_into_vec_as().expect("a float tensor reads as f32")
 }

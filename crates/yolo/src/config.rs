@@ -392,6 +392,7 @@ impl ModelConfig {
                 wrong("a run of 32, 16, 8, 4")
             }
             Architecture::YoloV3Tiny if self.heads != self.architecture.strides() => wrong("[32, 16] for yolov3-tiny"),
+            _ if self.heads.is_empty() => wrong("at least one"),
             _ if self.heads.len() != self.masks.len() => wrong(&format!("as many as masks ({})", self.masks.len())),
             _ => Ok(()),
         }
@@ -639,5 +640,14 @@ mod tests {
             let message = config.validate().unwrap_err().to_string();
             assert!(message.contains(words), "{message}");
         }
+    }
+
+    #[test]
+    fn a_network_has_a_head() {
+        let layers = Some("[convolutional]\nfilters=8\nsize=3\nstride=1\npad=1\nactivation=leaky\n".to_owned());
+        let architecture = Architecture::DarknetCfg;
+        let config =
+            ModelConfig { architecture, layers, heads: Vec::new(), masks: Vec::new(), ..ModelConfig::of(Architecture::YoloV3Tiny) };
+        assert!(config.validate().unwrap_err().to_string().contains("at least one"));
     }
 }

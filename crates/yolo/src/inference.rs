@@ -137,6 +137,7 @@ impl InferenceNet {
         let steps = std::mem::take(&mut self.steps);
         let mut head = 0;
         for PlanStep { step, layer, kept: keep, dropped } in &steps {
+            #[expect(clippy::expect_used, reason = "`plan` marks as kept, until their last reader, the layers that later steps read")]
             let read = |layer: &usize| kept[*layer].expect("the plan keeps what a later step reads");
             let y = match step {
                 Step::Conv(index) => self.convolve(*index, x, None),

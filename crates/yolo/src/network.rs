@@ -145,6 +145,7 @@ impl Yolo {
         let Features { mut x, mut kept } = from;
         let mut heads = Vec::new();
         for PlanStep { step, layer, kept: keep, dropped } in steps {
+            #[expect(clippy::expect_used, reason = "`plan` marks as kept, until their last reader, the layers that later steps read")]
             let read = |layer: &usize| kept[*layer].clone().expect("the plan keeps what a later step reads");
             x = match step {
                 Step::Conv(index) => self.convolutions[*index].forward(x, self.path),
@@ -184,23 +185,26 @@ impl Features {
         std::iter::once(&self.x).chain(self.kept.iter().flatten())
     }
 
-    /// The same place in the network with other values, in the order of [`Self::tensors`].
-    ///
-    /// # Panics
-    /// If there are not as many.
+    /// Their numbers, each tensor's row-major.
     #[must_use]
-    pub fn with_tensors(&self, tensors: impl IntoIterator<Item = Tensor<4>>) -> Self {
+    pub fn values(&self) -> Vec<Vec<f32>> {
+        self.tensors().cloned().map(blocks::values).collect()
+    }
+
+    /// The same place in the network with other values, in the order of [`Self::tensors`]; none if there are fewer of them.
+    #[must_use]
+    pub fn with_tensors(&self, tensors: impl IntoIterator<Item = Tensor<4>>) -> Option<Self> {
         let mut tensors = tensors.into_iter();
-        let mut next = || tensors.next().expect("as many values as before");
-        let x = next();
-        Self { x, kept: self.kept.iter().map(|k| k.as_ref().map(|_| next())).collect() }
+        let x = tensors.next()?;
+        let kept = self.kept.iter().map(|k| k.as_ref().map_or(Some(None), |_| tensors.next().map(Some))).collect::<Option<_>>()?;
+        Some(Self { x, kept })
     }
 }
 
 /// A head's logits as plain values, `[batch, anchor, field, row, column]`.
 #[must_use]
 pub fn read_logits(head: &Tensor<4>) -> Vec<f32> {
-    head.clone().try_into_vec_as().expect("a float tensor reads as f32")
+    blocks::values(head.clone())
 }
 
 #[cfg(test)]

@@ -1,5 +1,5 @@
 //! A warm network takes no memory: a program of its own, since it counts what the whole process allocates.
-#![allow(clippy::unwrap_used, reason = "helpers of tests may panic too")]
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "helpers of tests may panic too")]
 use tcross_kernels::allocator::Counted;
 use tcross_yolo::{Architecture, InferenceNet, ModelConfig, NetSize, Weights};
 

@@ -1,5 +1,5 @@
 //! Integration tests: the detector against Darknet's own boxes, runs over files, poses on drawn markers.
-#![allow(clippy::unwrap_used, reason = "helpers of tests may panic too")]
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "helpers of tests may panic too")]
 mod detector;
 mod pose;
 mod run;

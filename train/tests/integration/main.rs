@@ -1,5 +1,5 @@
 //! Whole trainings of a tiny network on a toy dataset.
-#![allow(clippy::unwrap_used, reason = "helpers of tests may panic too")]
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "helpers of tests may panic too")]
 mod fast_path;
 #[cfg(feature = "wgpu")]
 mod gpu;

@@ -121,6 +121,7 @@ pub(super) fn contiguous(x: &FlexTensor) -> FlexTensor {
 }
 
 /// The values of a tensor that was made contiguous.
+#[expect(clippy::expect_used, reason = "callers hand over what `contiguous` returned, and the backend's floats are f32")]
 pub(super) fn values(tensor: &FlexTensor) -> &[f32] {
     tensor.as_slice().expect("a contiguous f32 tensor")
 }

@@ -1,5 +1,5 @@
 //! The program as a user meets it: words in, words out, files, exit codes.
-#![allow(clippy::unwrap_used, reason = "helpers of tests may panic too")]
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "helpers of tests may panic too")]
 mod datasets;
 mod evaluation;
 mod help;

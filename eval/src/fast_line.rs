@@ -17,7 +17,8 @@ pub(crate) fn read(line: &[u8]) -> Option<ImageDetections> {
     at.word(",")?;
     at.key("detections")?;
     at.word("[")?;
-    let mut detections = Vec::new();
+    // A detection takes 50 bytes and more.
+    let mut detections = Vec::with_capacity(at.rest.len() / 50);
     if at.word("]").is_none() {
         loop {
             detections.push(at.detection()?);

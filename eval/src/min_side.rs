@@ -54,7 +54,7 @@ pub fn min_sides(truth: &Truth, evaluation: &Evaluation) -> Vec<MinSide> {
     let one = |&min_side_px: &f64| {
         let kept = |i: usize| {
             let counts = |m: usize| short_side(&truth.records[i].markers[m].bounds, extra) >= min_side_px;
-            Cow::Owned(of_at_least(&evaluation.images[i], counts, (min_side_px - extra) as f32))
+            Cow::Owned(of_at_least(&evaluation.images[i], counts, (min_side_px - extra) as f32, thresholds[0]))
         };
         let scores = Scores::from_fn(evaluation.images.len(), kept, &thresholds, config.bootstrap_draws, config.seed);
         let row = |t: f64| scores.position(t).map(|k| scores.row(k));
@@ -70,9 +70,9 @@ pub fn min_sides(truth: &Truth, evaluation: &Evaluation) -> Vec<MinSide> {
 }
 
 /// What is left of an image if only markers for which `counts` holds, and unmatched detections of at least `min_side`
-/// pixels (`max - min`), count. A false positive too small to count keeps its overlap with a marker that does: the mean IoU
+/// pixels (`max - min`), count; claims of a score below `least` are left out. A false positive too small to count keeps its overlap with a marker that does: the mean IoU
 /// takes a marker's best IoU as it is.
-fn of_at_least(image: &MatchedImage, counts: impl Fn(usize) -> bool, min_side: f32) -> MatchedImage {
+fn of_at_least(image: &MatchedImage, counts: impl Fn(usize) -> bool, min_side: f32, least: f64) -> MatchedImage {
     let mut kept = 0;
     let renumbered: Vec<Option<MarkerIndex>> = (0..image.markers as usize)
         .map(|m| {
@@ -91,7 +91,10 @@ fn of_at_least(image: &MatchedImage, counts: impl Fn(usize) -> bool, min_side: f
         };
         Claim { marker, iou, verdict, ..*c }
     };
-    MatchedImage { markers: kept as u32, claims: image.claims.iter().map(claim).collect() }
+    let claims = image.claims.iter().take_while(|c| c.score >= least).map(claim);
+    // An ignored claim without a marker says nothing to anyone.
+    let claims = claims.filter(|c| c.marker.is_some() || c.verdict != Verdict::Ignored);
+    MatchedImage { markers: kept as u32, claims: claims.collect() }
 }
 
 #[cfg(test)]

@@ -36,7 +36,9 @@ impl<'a> Picture<'a> {
     #[must_use]
     pub fn pixel(&self, x: usize, y: usize) -> Colour {
         let at = (y * self.width + x) * 3;
-        std::array::from_fn(|c| self.linear[self.bytes[at + c] as usize])
+        // One check of bounds instead of three.
+        let bytes = &self.bytes[at..at + 3];
+        std::array::from_fn(|c| self.linear[bytes[c] as usize])
     }
 
     /// Bilinear between pixel centres; points outside take the nearest pixel.

@@ -1,9 +1,10 @@
 //! What the coarse view shows, cell by cell: how likely each cell is marker, and whether it differs from its neighbourhood as a drawn line
 //! does; and how well a quadrilateral with a T cross in it explains both.
 use super::{
-    colour,
+    colour::Palette,
     crop::{Coarse, Colour},
-    plane::{Point, along, between, sub},
+    plane::{Point, between, sub},
+    quad::on_side,
 };
 use tcross_dataset::{PixelBox, Quad};
 
@@ -15,11 +16,18 @@ const MOST_CROSS: f32 = 2.0;
 const MOST_SIDE: f32 = 4.5;
 /// Stations along a side or along a half diagonal.
 const STATIONS: usize = 8;
+/// The first station on a side as a share of it, as far from one corner as the last is from the other.
+const FIRST_ON_SIDE: f64 = 0.1325;
+/// Odds are compared so far inside and outside of a side, as a share of the way to the centre.
+const BESIDE: f64 = 0.15;
+/// First and last station on a half diagonal, clear of the other lines and of the outline.
+const FIRST_ON_ARM: f64 = 0.2225;
+const LAST_ON_ARM: f64 = 0.8175;
 
 /// The coarse view's maps.
 pub struct Maps<'a> {
     view: &'a Coarse,
-    bins: Vec<u16>,
+    palette: Palette,
     /// Logarithm of the odds that a cell is marker, lightly blurred.
     odds: Vec<f32>,
     /// Colour less the neighbourhood's.
@@ -52,36 +60,52 @@ impl Score {
     }
 }
 
+/// The stations in a row from one point to another.
+fn row(from: Point, to: Point) -> impl Iterator<Item = [f32; 2]> {
+    let ([x, y], [dx, dy]) = (from.map(|v| v as f32), sub(to, from).map(|v| v as f32 / (STATIONS - 1) as f32));
+    (0..STATIONS).map(move |i| [x + dx * i as f32, y + dy * i as f32])
+}
+
 fn product(a: &[f32; 4], b: &[f32; 4]) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// Mean over a square of `2 * radius + 1` cells; cells beyond the view are left out.
+/// Mean over a square of `2 * radius + 1` cells; cells beyond the view are left out. Sums slide along the rows, then down the columns.
 fn box_mean(values: &[[f32; 4]], w: usize, h: usize, radius: usize) -> Vec<[f32; 4]> {
-    let mut rows = vec![[0.0f32; 4]; w * h];
-    let mut out = vec![[0.0f32; 4]; w * h];
-    let pass = |from: &[[f32; 4]], to: &mut [[f32; 4]], lines: usize, length: usize, line_step: usize, step: usize| {
-        for l in 0..lines {
-            let at = |k: usize| l * line_step + k * step;
-            let mut sum = [0.0f32; 4];
-            for k in 0..radius.min(length) {
-                (0..4).for_each(|c| sum[c] += from[at(k)][c]);
-            }
-            for k in 0..length {
-                if k + radius < length {
-                    (0..4).for_each(|c| sum[c] += from[at(k + radius)][c]);
-                }
-                if k > radius {
-                    (0..4).for_each(|c| sum[c] -= from[at(k - radius - 1)][c]);
-                }
-                let count = (k + radius).min(length - 1) - k.saturating_sub(radius) + 1;
-                let scale = 1.0 / count as f32;
-                to[at(k)] = sum.map(|v| v * scale);
-            }
-        }
+    let add = |sum: &mut [f32; 4], v: &[f32; 4]| (0..4).for_each(|c| sum[c] += v[c]);
+    let take = |sum: &mut [f32; 4], v: &[f32; 4]| (0..4).for_each(|c| sum[c] -= v[c]);
+    // One over how many of `length` places lie within reach of each.
+    let scales = |length: usize| -> Vec<f32> {
+        (0..length).map(|k| 1.0 / ((k + radius).min(length - 1) - k.saturating_sub(radius) + 1) as f32).collect()
     };
-    pass(values, &mut rows, h, w, w, 1);
-    pass(&rows, &mut out, w, h, 1, w);
+    let mut rows = Vec::with_capacity(w * h);
+    let across = scales(w);
+    for row in values.chunks_exact(w) {
+        let mut sum = [0.0f32; 4];
+        row.iter().take(radius).for_each(|v| add(&mut sum, v));
+        for (k, scale) in across.iter().enumerate() {
+            if let Some(next) = row.get(k + radius) {
+                add(&mut sum, next);
+            }
+            if k > radius {
+                take(&mut sum, &row[k - radius - 1]);
+            }
+            rows.push(sum.map(|v| v * scale));
+        }
+    }
+    let mut out = Vec::with_capacity(w * h);
+    let mut sums = vec![[0.0f32; 4]; w];
+    let row = |y: usize| &rows[y * w..(y + 1) * w];
+    (0..radius.min(h)).for_each(|y| sums.iter_mut().zip(row(y)).for_each(|(s, v)| add(s, v)));
+    for (y, scale) in scales(h).into_iter().enumerate() {
+        if y + radius < h {
+            sums.iter_mut().zip(row(y + radius)).for_each(|(s, v)| add(s, v));
+        }
+        if y > radius {
+            sums.iter_mut().zip(row(y - radius - 1)).for_each(|(s, v)| take(s, v));
+        }
+        out.extend(sums.iter().map(|s| s.map(|v| v * scale)));
+    }
     out
 }
 
@@ -90,16 +114,20 @@ impl<'a> Maps<'a> {
     #[must_use]
     pub fn new(view: &'a Coarse, bounds: &PixelBox) -> Self {
         let (w, h) = (view.width, view.height);
-        let bins: Vec<u16> = view.cells.iter().map(|c| colour::bin(*c)).collect();
+        let palette = Palette::new(&view.cells);
         let ([cx, cy], half) = (bounds.center(), [bounds.width() / 2.0, bounds.height() / 2.0]);
         let columns: Vec<f32> = (0..w).map(|x| ((view.middle(x, 0)[0] - cx) / half[0]).abs() as f32).collect();
         let rows: Vec<f32> = (0..h).map(|y| ((view.middle(0, y)[1] - cy) / half[1]).abs() as f32).collect();
-        let (mut marker, mut around) = (Vec::with_capacity(w * h), Vec::with_capacity(w * h));
-        for v in &rows {
-            for u in &columns {
+        let mut marker: Vec<f32> = Vec::with_capacity(w * h);
+        let mut counts = vec![[0.0f32; 2]; palette.len()];
+        for (v, colours) in rows.iter().zip(palette.colours.chunks_exact(w)) {
+            for (u, colour) in columns.iter().zip(colours) {
                 // Any quadrilateral that touches all four sides of its box covers most of the diamond between their middles.
-                marker.push((1.15 - u - v).clamp(0.0, 0.5));
-                around.push(if u.max(*v) > 1.04 { 1.0 } else { 0.0 });
+                let m = (1.15 - u - v).clamp(0.0, 0.5);
+                marker.push(m);
+                let count = &mut counts[*colour as usize];
+                count[0] += m;
+                count[1] += if u.max(*v) > 1.04 { 1.0 } else { 0.0 };
             }
         }
         let cells: Vec<[f32; 4]> = view.cells.iter().map(|[r, g, b]: &Colour| [*r, *g, *b, 0.0]).collect();
@@ -112,16 +140,13 @@ impl<'a> Maps<'a> {
             count += m;
         }
         let noise = (sum / count).sqrt().max(0.004);
-        let mut maps = Self { view, bins, odds: Vec::new(), lines, noise, bounds: view.to_cells(bounds) };
-        maps.learn(&marker, &around);
+        let mut maps = Self { view, palette, odds: Vec::new(), lines, noise, bounds: view.to_cells(bounds) };
+        maps.learn(&counts);
         maps
     }
 
     /// Learns anew from a quadrilateral in cells; nothing is learnt from what lies nearer to its outline than `gap` of the way to its centre.
     pub fn relearn(&mut self, corners: &[Point; 4], gap: f32) {
-        let (w, h) = (self.view.width, self.view.height);
-        let mut marker = vec![0.0f32; w * h];
-        let mut around = vec![0.0f32; w * h];
         let Some(center) = Quad(*corners).diagonal_crossing() else { return };
         // Signed distance from each side as a share of the centre's: 0 on the outline, 1 in the centre, negative outside.
         let mut planes = [[0.0f32; 3]; 4];
@@ -132,48 +157,49 @@ impl<'a> Maps<'a> {
             let scale = 1.0 / depth;
             planes[k] = [(normal[0] * scale) as f32, (normal[1] * scale) as f32, (-(normal[0] * a[0] + normal[1] * a[1]) * scale) as f32];
         }
-        for y in 0..h {
-            for x in 0..w {
-                let (px, py) = (x as f32 + 0.5, y as f32 + 0.5);
-                let depth = planes.iter().map(|p| p[0] * px + p[1] * py + p[2]).fold(f32::MAX, f32::min);
-                let i = y * w + x;
-                marker[i] = if depth > gap { 1.0 } else { 0.0 };
-                around[i] = if depth < -gap { 1.0 } else { 0.0 };
+        let mut counts = vec![[0.0f32; 2]; self.palette.len()];
+        for (y, colours) in self.palette.colours.chunks_exact(self.view.width).enumerate() {
+            let row = planes.map(|p| (p[0], p[1] * (y as f32 + 0.5) + p[2]));
+            for (x, colour) in colours.iter().enumerate() {
+                let px = x as f32 + 0.5;
+                let [a, b, c, d] = row.map(|(slope, start)| slope * px + start);
+                let depth = a.min(b).min(c.min(d));
+                if depth.abs() > gap {
+                    counts[*colour as usize][usize::from(depth < 0.0)] += 1.0;
+                }
             }
         }
-        self.learn(&marker, &around);
+        self.learn(&counts);
     }
 
-    fn learn(&mut self, marker: &[f32], around: &[f32]) {
+    /// Odds from the counts `[marker, surroundings]` of every colour.
+    fn learn(&mut self, counts: &[[f32; 2]]) {
+        let table = self.palette.log_odds(counts);
+        let odds: Vec<f32> = self.palette.colours.iter().map(|c| table[*c as usize]).collect();
+        self.odds = blur(&odds, self.view.width, self.view.height);
+    }
+
+    fn cell(&self, [x, y]: [f32; 2]) -> usize {
         let (w, h) = (self.view.width, self.view.height);
-        let table = colour::log_odds(&self.bins, marker, around);
-        let odds: Vec<f32> = self.bins.iter().map(|b| table[*b as usize]).collect();
-        self.odds = blur(&odds, w, h);
+        (y as usize).min(h - 1) * w + (x as usize).min(w - 1)
     }
 
-    fn cell(&self, [x, y]: Point) -> usize {
-        let (w, h) = (self.view.width, self.view.height);
-        let column = (x.max(0.0) as usize).min(w - 1);
-        let row = (y.max(0.0) as usize).min(h - 1);
-        row * w + column
-    }
-
-    fn odds_near(&self, p: Point) -> f32 {
+    fn odds_near(&self, p: [f32; 2]) -> f32 {
         if self.is_beyond(p) { BEYOND } else { self.odds[self.cell(p)] }
     }
 
-    fn is_beyond(&self, [x, y]: Point) -> bool {
-        !(x >= 0.0 && y >= 0.0 && x <= self.view.width as f64 && y <= self.view.height as f64)
+    fn is_beyond(&self, [x, y]: [f32; 2]) -> bool {
+        !(x >= 0.0 && y >= 0.0 && x <= self.view.width as f32 && y <= self.view.height as f32)
     }
 
     /// The odds at a point in cells, bilinear.
     #[must_use]
-    pub fn odds_at(&self, [x, y]: Point) -> f32 {
+    pub fn odds_at(&self, [x, y]: [f32; 2]) -> f32 {
         if self.is_beyond([x, y]) {
             return BEYOND;
         }
         let (w, h) = (self.view.width, self.view.height);
-        let (x, y) = ((x - 0.5).clamp(0.0, (w - 1) as f64) as f32, (y - 0.5).clamp(0.0, (h - 1) as f64) as f32);
+        let (x, y) = ((x - 0.5).clamp(0.0, (w - 1) as f32), (y - 0.5).clamp(0.0, (h - 1) as f32));
         let (i, j) = (x as usize, y as usize);
         let (fx, fy) = (x - i as f32, y - j as f32);
         let (right, down) = (usize::from(i + 1 < w), if j + 1 < h { w } else { 0 });
@@ -210,20 +236,16 @@ impl<'a> Maps<'a> {
         let center = Quad(*corners).diagonal_crossing()?;
         let mut score = Score::default();
         for k in 0..4 {
-            let (mut inside, mut outside) = (0.0, 0.0);
-            for i in 0..STATIONS {
-                let t = 0.08 + 0.84 * (i as f64 + 0.5) / STATIONS as f64;
-                let foot = between(corners[k], corners[(k + 1) % 4], t);
-                let inwards = sub(center, foot);
-                inside += self.odds_near(along(foot, inwards, 0.15));
-                outside += self.odds_near(along(foot, inwards, -0.15));
-            }
-            score.sides[k] = ((inside - outside) / STATIONS as f32).clamp(-2.0, MOST_SIDE);
+            let [from, to] = [FIRST_ON_SIDE, 1.0 - FIRST_ON_SIDE].map(|t| on_side(corners, k, t));
+            let odds = |inwards: f64| -> f32 {
+                row(between(from, center, inwards), between(to, center, inwards)).map(|p| self.odds_near(p)).sum()
+            };
+            score.sides[k] = ((odds(BESIDE) - odds(-BESIDE)) / STATIONS as f32).clamp(-2.0, MOST_SIDE);
         }
         let mut arms = [[0.0f32; 4]; 4];
         for (arm, corner) in arms.iter_mut().zip(corners) {
-            for i in 0..STATIONS {
-                let line = &self.lines[self.cell(between(center, *corner, 0.18 + 0.68 * (i as f64 + 0.5) / STATIONS as f64))];
+            for p in row(between(center, *corner, FIRST_ON_ARM), between(center, *corner, LAST_ON_ARM)) {
+                let line = &self.lines[self.cell(p)];
                 (0..3).for_each(|c| arm[c] += line[c] / STATIONS as f32);
             }
         }
@@ -261,19 +283,20 @@ fn cross(arms: &[[f32; 4]; 4]) -> (f32, usize) {
 
 /// Mean of each cell's 3x3 neighbourhood, weighted 1 2 1 both ways; the view's edge repeats.
 fn blur(values: &[f32], w: usize, h: usize) -> Vec<f32> {
-    let mut rows = vec![0.0; w * h];
-    for y in 0..h {
-        let row = &values[y * w..(y + 1) * w];
-        for x in 0..w {
-            rows[y * w + x] = 0.25 * row[x.saturating_sub(1)] + 0.5 * row[x] + 0.25 * row[(x + 1).min(w - 1)];
+    let mut rows = Vec::with_capacity(w * h);
+    for row in values.chunks_exact(w) {
+        let ends = |k: usize| 0.25 * row[k.saturating_sub(1)] + 0.5 * row[k] + 0.25 * row[(k + 1).min(w - 1)];
+        rows.push(ends(0));
+        rows.extend(row.windows(3).map(|v| 0.25 * v[0] + 0.5 * v[1] + 0.25 * v[2]));
+        if w > 1 {
+            rows.push(ends(w - 1));
         }
     }
-    let mut out = vec![0.0; w * h];
+    let mut out = Vec::with_capacity(w * h);
     for y in 0..h {
-        let (up, down) = (y.saturating_sub(1) * w, (y + 1).min(h - 1) * w);
-        for x in 0..w {
-            out[y * w + x] = 0.25 * rows[up + x] + 0.5 * rows[y * w + x] + 0.25 * rows[down + x];
-        }
+        let row = |y: usize| &rows[y * w..(y + 1) * w];
+        let (up, here, down) = (row(y.saturating_sub(1)), row(y), row((y + 1).min(h - 1)));
+        out.extend(up.iter().zip(here).zip(down).map(|((a, b), c)| 0.25 * a + 0.5 * b + 0.25 * c));
     }
     out
 }

@@ -109,10 +109,11 @@ pub fn settle(maps: &Maps, corners: &[Point; 4], reach: f64) -> Option<[Point; 4
         // Odds summed from the inner end on.
         let mut sums = [[0.0f32; SAMPLES]; PROFILES];
         for (i, sums) in sums.iter_mut().enumerate() {
-            let foot = on_side(corners, k, place(i));
+            let [x, y] = along(on_side(corners, k, place(i)), line.normal, -reach).map(|v| v as f32);
+            let [dx, dy] = line.normal.map(|v| (step * v) as f32);
             let mut total = 0.0;
             for (j, sum) in sums.iter_mut().enumerate() {
-                total += maps.odds_at(along(foot, line.normal, -reach + step * j as f64));
+                total += maps.odds_at([x + dx * j as f32, y + dy * j as f32]);
                 *sum = total;
             }
         }
@@ -132,10 +133,11 @@ fn place(i: usize) -> f64 {
 /// Sample numbers at the side's two ends between which the sums add up to most.
 fn best_line(sums: &[[f32; SAMPLES]; PROFILES]) -> (f32, f32) {
     let middle = (SAMPLES - 1) as f32 / 2.0;
+    let places: [f32; PROFILES] = std::array::from_fn(|i| place(i) as f32);
     let value = |a: f32, b: f32| {
         let mut total = 0.0;
-        for (i, sums) in sums.iter().enumerate() {
-            let at = (a + (b - a) * place(i) as f32).clamp(0.0, (SAMPLES - 1) as f32);
+        for (sums, place) in sums.iter().zip(&places) {
+            let at = (a + (b - a) * place).clamp(0.0, (SAMPLES - 1) as f32);
             let j = (at as usize).min(SAMPLES - 2);
             total += sums[j] + (sums[j + 1] - sums[j]) * (at - j as f32);
         }

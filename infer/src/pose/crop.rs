@@ -76,7 +76,7 @@ pub struct Coarse {
 /// Longer side of the coarse view in cells.
 const CELLS: f64 = 64.0;
 /// At most so many source pixels a side are averaged into a cell.
-const SAMPLES: usize = 3;
+const SAMPLES: usize = 2;
 
 impl Coarse {
     /// The view of `window`, which lies inside the picture. `None` where it holds fewer than 4 pixels a side.

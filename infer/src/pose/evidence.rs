@@ -28,8 +28,10 @@ const LAST_ON_ARM: f64 = 0.8175;
 pub struct Maps<'a> {
     view: &'a Coarse,
     palette: Palette,
-    /// Logarithm of the odds that a cell is marker, lightly blurred.
+    /// Logarithm of the odds that a cell is marker, lightly blurred, with a rim of one cell of [`BEYOND`].
     odds: Vec<f32>,
+    /// The same as learnt from the box alone.
+    first_odds: Vec<f32>,
     /// Colour less the neighbourhood's.
     lines: Vec<[f32; 4]>,
     /// Root mean square of `lines` inside the box.
@@ -140,8 +142,9 @@ impl<'a> Maps<'a> {
             count += m;
         }
         let noise = (sum / count).sqrt().max(0.004);
-        let mut maps = Self { view, palette, odds: Vec::new(), lines, noise, bounds: view.to_cells(bounds) };
+        let mut maps = Self { view, palette, odds: Vec::new(), first_odds: Vec::new(), lines, noise, bounds: view.to_cells(bounds) };
         maps.learn(&counts);
+        maps.first_odds.clone_from(&maps.odds);
         maps
     }
 
@@ -158,7 +161,8 @@ impl<'a> Maps<'a> {
             planes[k] = [(normal[0] * scale) as f32, (normal[1] * scale) as f32, (-(normal[0] * a[0] + normal[1] * a[1]) * scale) as f32];
         }
         let mut counts = vec![[0.0f32; 2]; self.palette.len()];
-        for (y, colours) in self.palette.colours.chunks_exact(self.view.width).enumerate() {
+        // Every other row tells enough.
+        for (y, colours) in self.palette.colours.chunks_exact(self.view.width).enumerate().step_by(2) {
             let row = planes.map(|p| (p[0], p[1] * (y as f32 + 0.5) + p[2]));
             for (x, colour) in colours.iter().enumerate() {
                 let px = x as f32 + 0.5;
@@ -172,6 +176,11 @@ impl<'a> Maps<'a> {
         self.learn(&counts);
     }
 
+    /// Goes back to what was learnt from the box.
+    pub fn forget(&mut self) {
+        self.odds.clone_from(&self.first_odds);
+    }
+
     /// Odds from the counts `[marker, surroundings]` of every colour.
     fn learn(&mut self, counts: &[[f32; 2]]) {
         let table = self.palette.log_odds(counts);
@@ -179,33 +188,30 @@ impl<'a> Maps<'a> {
         self.odds = blur(&odds, self.view.width, self.view.height);
     }
 
+    /// The cell of [`Maps::lines`] at a point, or the nearest. Through `i32`: a conversion to `usize` costs several times as much.
     fn cell(&self, [x, y]: [f32; 2]) -> usize {
         let (w, h) = (self.view.width, self.view.height);
-        (y as usize).min(h - 1) * w + (x as usize).min(w - 1)
+        let place = |v: f32, n: usize| v.clamp(0.0, (n - 1) as f32) as i32 as usize;
+        place(y, h) * w + place(x, w)
     }
 
-    fn odds_near(&self, p: [f32; 2]) -> f32 {
-        if self.is_beyond(p) { BEYOND } else { self.odds[self.cell(p)] }
-    }
-
-    fn is_beyond(&self, [x, y]: [f32; 2]) -> bool {
-        !(x >= 0.0 && y >= 0.0 && x <= self.view.width as f32 && y <= self.view.height as f32)
+    fn odds_near(&self, [x, y]: [f32; 2]) -> f32 {
+        let (w, h) = (self.view.width, self.view.height);
+        let place = |v: f32, n: usize| (v + 1.0).clamp(0.0, (n + 1) as f32) as i32 as usize;
+        self.odds[place(y, h) * (w + 2) + place(x, w)]
     }
 
     /// The odds at a point in cells, bilinear.
     #[must_use]
     pub fn odds_at(&self, [x, y]: [f32; 2]) -> f32 {
-        if self.is_beyond([x, y]) {
-            return BEYOND;
-        }
         let (w, h) = (self.view.width, self.view.height);
-        let (x, y) = ((x - 0.5).clamp(0.0, (w - 1) as f32), (y - 0.5).clamp(0.0, (h - 1) as f32));
-        let (i, j) = (x as usize, y as usize);
+        // Between the middles of cells; the rim is a cell wide.
+        let (x, y) = ((x + 0.5).clamp(0.0, w as f32), (y + 0.5).clamp(0.0, h as f32));
+        let (i, j) = (x as i32, y as i32);
         let (fx, fy) = (x - i as f32, y - j as f32);
-        let (right, down) = (usize::from(i + 1 < w), if j + 1 < h { w } else { 0 });
-        let at = j * w + i;
-        let (a, b, c, d) = (self.odds[at], self.odds[at + right], self.odds[at + down], self.odds[at + right + down]);
-        let (top, bottom) = (a + (b - a) * fx, c + (d - c) * fx);
+        let at = j as usize * (w + 2) + i as usize;
+        let (up, low) = (&self.odds[at..at + 2], &self.odds[at + w + 2..at + w + 4]);
+        let (top, bottom) = (up[0] + (up[1] - up[0]) * fx, low[0] + (low[1] - low[0]) * fx);
         top + (bottom - top) * fy
     }
 
@@ -213,19 +219,19 @@ impl<'a> Maps<'a> {
     #[must_use]
     pub fn run_along(&self, borders: [bool; 4]) -> usize {
         let (w, h) = (self.view.width, self.view.height);
-        let longest = |cells: &mut dyn Iterator<Item = usize>| {
+        let longest = |cells: &mut dyn Iterator<Item = (usize, usize)>| {
             let (mut run, mut most) = (0, 0);
-            for cell in cells {
-                run = if self.odds[cell] > 1.0 { run + 1 } else { 0 };
+            for (x, y) in cells {
+                run = if self.odds[(y + 1) * (w + 2) + x + 1] > 1.0 { run + 1 } else { 0 };
                 most = most.max(run);
             }
             most
         };
         let runs = [
-            longest(&mut (0..h).map(|y| y * w)),
-            longest(&mut (0..w)),
-            longest(&mut (0..h).map(|y| y * w + w - 1)),
-            longest(&mut ((h - 1) * w..h * w)),
+            longest(&mut (0..h).map(|y| (0, y))),
+            longest(&mut (0..w).map(|x| (x, 0))),
+            longest(&mut (0..h).map(|y| (w - 1, y))),
+            longest(&mut (0..w).map(|x| (x, h - 1))),
         ];
         (0..4).filter(|k| borders[*k]).map(|k| runs[k]).max().unwrap_or(0)
     }
@@ -281,22 +287,57 @@ fn cross(arms: &[[f32; 4]; 4]) -> (f32, usize) {
     best
 }
 
-/// Mean of each cell's 3x3 neighbourhood, weighted 1 2 1 both ways; the view's edge repeats.
+/// Mean of each cell's 3x3 neighbourhood, weighted 1 2 1 both ways; the view's edge repeats. With a rim of one cell of [`BEYOND`].
 fn blur(values: &[f32], w: usize, h: usize) -> Vec<f32> {
     let mut rows = Vec::with_capacity(w * h);
     for row in values.chunks_exact(w) {
-        let ends = |k: usize| 0.25 * row[k.saturating_sub(1)] + 0.5 * row[k] + 0.25 * row[(k + 1).min(w - 1)];
-        rows.push(ends(0));
+        let end = |k: usize| 0.25 * row[k.saturating_sub(1)] + 0.5 * row[k] + 0.25 * row[(k + 1).min(w - 1)];
+        rows.push(end(0));
         rows.extend(row.windows(3).map(|v| 0.25 * v[0] + 0.5 * v[1] + 0.25 * v[2]));
         if w > 1 {
-            rows.push(ends(w - 1));
+            rows.push(end(w - 1));
         }
     }
-    let mut out = Vec::with_capacity(w * h);
-    for y in 0..h {
+    let mut out = vec![BEYOND; (w + 2) * (h + 2)];
+    for (y, out) in out.chunks_exact_mut(w + 2).skip(1).take(h).enumerate() {
         let row = |y: usize| &rows[y * w..(y + 1) * w];
         let (up, here, down) = (row(y.saturating_sub(1)), row(y), row((y + 1).min(h - 1)));
-        out.extend(up.iter().zip(here).zip(down).map(|((a, b), c)| 0.25 * a + 0.5 * b + 0.25 * c));
+        for (((out, a), b), c) in out[1..=w].iter_mut().zip(up).zip(here).zip(down) {
+            *out = 0.25 * a + 0.5 * b + 0.25 * c;
+        }
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sliding_sums_equal_looking_at_every_neighbour() {
+        let mut rng = tcross_dataset::Rng::for_item(3, "test/box-mean", 0);
+        for (w, h, radius) in [(1, 1, 2), (2, 7, 2), (13, 9, 3), (5, 20, 8)] {
+            let values: Vec<[f32; 4]> = (0..w * h).map(|_| std::array::from_fn(|_| rng.uniform(0.0, 1.0) as f32)).collect();
+            let means = box_mean(&values, w, h, radius);
+            for (i, mean) in means.iter().enumerate() {
+                let near = |v: usize, n: usize| v.saturating_sub(radius)..(v + radius + 1).min(n);
+                let around: Vec<usize> = near(i / w, h).flat_map(|y| near(i % w, w).map(move |x| y * w + x)).collect();
+                for c in 0..4 {
+                    let want = around.iter().map(|j| values[*j][c]).sum::<f32>() / around.len() as f32;
+                    assert!((mean[c] - want).abs() < 1e-4, "{w}x{h} radius {radius}: {} not {want}", mean[c]);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn blurring_repeats_the_edge_and_adds_a_rim() {
+        for (w, h) in [(1, 1), (1, 3), (4, 2)] {
+            let odds = blur(&vec![0.5; w * h], w, h);
+            for (i, v) in odds.iter().enumerate() {
+                let inside = (1..=w).contains(&(i % (w + 2))) && (1..=h).contains(&(i / (w + 2)));
+                assert!((v - if inside { 0.5 } else { BEYOND }).abs() < 1e-6, "{w}x{h} cell {i}: {v}");
+            }
+        }
+    }
 }

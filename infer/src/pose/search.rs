@@ -51,11 +51,7 @@ pub fn guesses(maps: &Maps, bounds: &PixelBox, count: usize) -> Vec<Guess> {
     all.sort_by(|a, b| b.score.total().total_cmp(&a.score.total()));
     let mut kept: Vec<Guess> = Vec::with_capacity(count);
     for guess in all {
-        let near = |k: &Guess| {
-            let side = Quad(k.corners).side_px();
-            (0..4).any(|turn| (0..4).all(|i| distance(k.corners[i], guess.corners[(i + turn) % 4]) < 0.25 * side))
-        };
-        if !kept.iter().any(near) {
+        if !kept.iter().any(|k| is_near(&k.corners, &guess.corners, 0.25)) {
             kept.push(guess);
             if kept.len() == count {
                 break;
@@ -63,6 +59,13 @@ pub fn guesses(maps: &Maps, bounds: &PixelBox, count: usize) -> Vec<Guess> {
         }
     }
     kept
+}
+
+/// Whether each corner of `b`, whichever it begins with, lies within `share` sides of one of `a`.
+#[must_use]
+pub fn is_near(a: &[Point; 4], b: &[Point; 4], share: f64) -> bool {
+    let reach = share * Quad(*a).side_px();
+    (0..4).any(|turn| (0..4).all(|i| distance(a[i], b[(i + turn) % 4]) < reach))
 }
 
 /// Moves corner after corner by a share of the side as long as that explains the view better.
@@ -94,7 +97,7 @@ pub fn nudge(maps: &Maps, mut guess: Guess, steps: &[f64]) -> Guess {
 }
 
 /// Profiles across a side, and samples in each, from inside to outside.
-const PROFILES: usize = 24;
+const PROFILES: usize = 16;
 const SAMPLES: usize = 33;
 
 /// Lays each side, within `reach` sides of where it is, so that the odds of what it encloses add up to most. `None` where no sound

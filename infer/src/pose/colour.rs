@@ -74,10 +74,10 @@ impl Palette {
         palette
     }
 
-    /// How many colours occur.
+    /// Counts of nothing yet, `[marker, surroundings]` for every colour that occurs.
     #[must_use]
-    pub fn len(&self) -> usize {
-        self.ends.len()
+    pub fn no_counts(&self) -> Vec<[f32; 2]> {
+        vec![[0.0; 2]; self.ends.len()]
     }
 
     /// The logarithm of how much likelier each colour is in the marker than in its surroundings, by the counts `[marker, surroundings]` of
@@ -125,7 +125,7 @@ mod tests {
         let cells: Vec<Colour> = (0..300).map(|_| std::array::from_fn(|_| rng.uniform(0.0, 1.0).powi(3) as f32)).collect();
         let palette = Palette::new(&cells);
         let weights: Vec<[f32; 2]> = cells.iter().map(|_| [rng.uniform(0.0, 1.0) as f32, rng.uniform(0.0, 1.0) as f32]).collect();
-        let mut counts = vec![[0.0f32; 2]; palette.len()];
+        let mut counts = palette.no_counts();
         let mut all = [vec![0.0f32; BINS], vec![0.0f32; BINS]];
         for ((cell, colour), weight) in cells.iter().zip(&palette.colours).zip(&weights) {
             for k in 0..2 {

@@ -121,7 +121,7 @@ impl<'a> Maps<'a> {
         let columns: Vec<f32> = (0..w).map(|x| ((view.middle(x, 0)[0] - cx) / half[0]).abs() as f32).collect();
         let rows: Vec<f32> = (0..h).map(|y| ((view.middle(0, y)[1] - cy) / half[1]).abs() as f32).collect();
         let mut marker: Vec<f32> = Vec::with_capacity(w * h);
-        let mut counts = vec![[0.0f32; 2]; palette.len()];
+        let mut counts = palette.no_counts();
         for (v, colours) in rows.iter().zip(palette.colours.chunks_exact(w)) {
             for (u, colour) in columns.iter().zip(colours) {
                 // Any quadrilateral that touches all four sides of its box covers most of the diamond between their middles.
@@ -160,7 +160,7 @@ impl<'a> Maps<'a> {
             let scale = 1.0 / depth;
             planes[k] = [(normal[0] * scale) as f32, (normal[1] * scale) as f32, (-(normal[0] * a[0] + normal[1] * a[1]) * scale) as f32];
         }
-        let mut counts = vec![[0.0f32; 2]; self.palette.len()];
+        let mut counts = self.palette.no_counts();
         // Every other row tells enough.
         for (y, colours) in self.palette.colours.chunks_exact(self.view.width).enumerate().step_by(2) {
             let row = planes.map(|p| (p[0], p[1] * (y as f32 + 0.5) + p[2]));

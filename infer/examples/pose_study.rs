@@ -144,8 +144,8 @@ fn records(dir: &Path, dataset: &Dataset) -> Result<Vec<Record>, Failed> {
     Ok(records)
 }
 
-/// Calls `look` with boxes on photos without a marker: what a detector that errs would hand over.
-fn on_photos<T: Send>(photos: &Path, boxes: u64, look: impl Fn(&RgbImage, &PixelBox) -> T + Sync) -> Result<Vec<T>, Failed> {
+/// Calls `look` with boxes on photos without a marker: what a detector that errs would hand over. Other boxes for every `purpose`.
+fn on_photos<T: Send>(photos: &Path, boxes: u64, purpose: &str, look: impl Fn(&RgbImage, &PixelBox) -> T + Sync) -> Result<Vec<T>, Failed> {
     let mut paths = Vec::new();
     let mut folders = vec![photos.to_owned()];
     while let Some(folder) = folders.pop() {
@@ -170,7 +170,7 @@ fn on_photos<T: Send>(photos: &Path, boxes: u64, look: impl Fn(&RgbImage, &Pixel
             let image: RgbImage = image::open(path)?.resize_to_fill(1280, 720, image::imageops::FilterType::Triangle).to_rgb8();
             let first = k as u64 * each;
             let boxes = (first..(first + each).min(boxes)).map(|index| {
-                let mut rng = Rng::for_item(14, "study/empty", index);
+                let mut rng = Rng::for_item(14, purpose, index);
                 let (w, h) = (rng.log_uniform(24.0, 400.0), rng.log_uniform(24.0, 400.0));
                 let (w, h) = (w.max(h / 2.5), h.max(w / 2.5));
                 let (x, y) = (rng.uniform(0.0, 1280.0 - w), rng.uniform(0.0, 720.0 - h));
@@ -183,7 +183,9 @@ fn on_photos<T: Send>(photos: &Path, boxes: u64, look: impl Fn(&RgbImage, &Pixel
 }
 
 fn empty(photos: &Path, boxes: u64, methods: &[Method]) -> Result<(), Failed> {
-    let looked = on_photos(photos, boxes, |image, b| methods.iter().map(|m| pose::recover(image, b, &configured(*m))).collect::<Vec<_>>())?;
+    let looked = on_photos(photos, boxes, "study/empty", |image, b| {
+        methods.iter().map(|m| pose::recover(image, b, &configured(*m))).collect::<Vec<_>>()
+    })?;
     for (k, method) in methods.iter().enumerate() {
         let mut claimed: Vec<f64> =
             looked.iter().filter_map(|answers| if let PoseOutcome::Found(p) = &answers[k] { Some(p.quality) } else { None }).collect();
@@ -237,7 +239,7 @@ fn fit(dir: &Path, photos: &Path, boxes: u64, dump: Option<String>) -> Result<()
             Ok(rows)
         })
         .collect::<Result<_, Failed>>()?;
-    let patches = on_photos(photos, boxes, |image, b| {
+    let patches = on_photos(photos, boxes, "study/fit-empty", |image, b| {
         let row = |seen: pose::model::Considered| {
             let text = format!("{{\"image\": \"\", \"right\": false, \"features\": {:?}}}\n", seen.evidence.features);
             (seen.evidence.features, false, text)

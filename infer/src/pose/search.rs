@@ -51,11 +51,7 @@ pub fn guesses(maps: &Maps, bounds: &PixelBox, count: usize) -> Vec<Guess> {
     all.sort_by(|a, b| b.score.total().total_cmp(&a.score.total()));
     let mut kept: Vec<Guess> = Vec::with_capacity(count);
     for guess in all {
-        let near = |k: &Guess| {
-            let side = Quad(k.corners).side_px();
-            (0..4).any(|turn| (0..4).all(|i| distance(k.corners[i], guess.corners[(i + turn) % 4]) < 0.25 * side))
-        };
-        if !kept.iter().any(near) {
+        if !kept.iter().any(|k| is_near(&k.corners, &guess.corners, 0.25)) {
             kept.push(guess);
             if kept.len() == count {
                 break;
@@ -63,6 +59,13 @@ pub fn guesses(maps: &Maps, bounds: &PixelBox, count: usize) -> Vec<Guess> {
         }
     }
     kept
+}
+
+/// Whether each corner of `b`, whichever it begins with, lies within `share` sides of one of `a`.
+#[must_use]
+pub fn is_near(a: &[Point; 4], b: &[Point; 4], share: f64) -> bool {
+    let reach = share * Quad(*a).side_px();
+    (0..4).any(|turn| (0..4).all(|i| distance(a[i], b[(i + turn) % 4]) < reach))
 }
 
 /// Moves corner after corner by a share of the side as long as that explains the view better.
@@ -94,7 +97,7 @@ pub fn nudge(maps: &Maps, mut guess: Guess, steps: &[f64]) -> Guess {
 }
 
 /// Profiles across a side, and samples in each, from inside to outside.
-const PROFILES: usize = 24;
+const PROFILES: usize = 16;
 const SAMPLES: usize = 33;
 
 /// Lays each side, within `reach` sides of where it is, so that the odds of what it encloses add up to most. `None` where no sound
@@ -109,10 +112,11 @@ pub fn settle(maps: &Maps, corners: &[Point; 4], reach: f64) -> Option<[Point; 4
         // Odds summed from the inner end on.
         let mut sums = [[0.0f32; SAMPLES]; PROFILES];
         for (i, sums) in sums.iter_mut().enumerate() {
-            let foot = on_side(corners, k, place(i));
+            let [x, y] = along(on_side(corners, k, place(i)), line.normal, -reach).map(|v| v as f32);
+            let [dx, dy] = line.normal.map(|v| (step * v) as f32);
             let mut total = 0.0;
             for (j, sum) in sums.iter_mut().enumerate() {
-                total += maps.odds_at(along(foot, line.normal, -reach + step * j as f64));
+                total += maps.odds_at([x + dx * j as f32, y + dy * j as f32]);
                 *sum = total;
             }
         }
@@ -132,10 +136,11 @@ fn place(i: usize) -> f64 {
 /// Sample numbers at the side's two ends between which the sums add up to most.
 fn best_line(sums: &[[f32; SAMPLES]; PROFILES]) -> (f32, f32) {
     let middle = (SAMPLES - 1) as f32 / 2.0;
+    let places: [f32; PROFILES] = std::array::from_fn(|i| place(i) as f32);
     let value = |a: f32, b: f32| {
         let mut total = 0.0;
-        for (i, sums) in sums.iter().enumerate() {
-            let at = (a + (b - a) * place(i) as f32).clamp(0.0, (SAMPLES - 1) as f32);
+        for (sums, place) in sums.iter().zip(&places) {
+            let at = (a + (b - a) * place).clamp(0.0, (SAMPLES - 1) as f32);
             let j = (at as usize).min(SAMPLES - 2);
             total += sums[j] + (sums[j + 1] - sums[j]) * (at - j as f32);
         }

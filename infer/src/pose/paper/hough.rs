@@ -79,40 +79,50 @@ pub struct Search {
     pub min_length: f64,
     /// Largest gap inside a segment, px.
     pub max_gap: usize,
+    /// The search ends with so many segments.
+    pub enough: usize,
 }
 
 const ANGLES: usize = 180;
 
 /// The votes of edge pixels for lines at every degree and pixel of distance.
 struct Votes {
-    counts: Vec<i32>,
-    directions: [(f32, f32); ANGLES],
+    counts: Vec<i16>,
+    cosines: [f32; ANGLES],
+    sines: [f32; ANGLES],
+    /// Distances an angle: from `-nearest` on.
     distances: usize,
+    nearest: f32,
 }
 
 impl Votes {
     fn new(w: usize, h: usize) -> Self {
-        let distances = 2 * (w + h) + 1;
-        let directions = std::array::from_fn(|n| {
-            let (s, c) = (n as f32).to_radians().sin_cos();
-            (c, s)
-        });
-        Self { counts: vec![0; ANGLES * distances], directions, distances }
+        // x cos + y sin lies between -w and the diagonal, which is shorter than w + h.
+        let distances = 2 * w + h + 2;
+        let turn = |n: usize| (n as f32).to_radians();
+        Self {
+            counts: vec![0; ANGLES * distances],
+            cosines: std::array::from_fn(|n| turn(n).cos()),
+            sines: std::array::from_fn(|n| turn(n).sin()),
+            distances,
+            nearest: w as f32 + 0.5,
+        }
     }
 
     /// Adds `by` for every line through a pixel; the index of the angle with most votes afterwards, and those votes.
-    fn add(&mut self, x: usize, y: usize, by: i32) -> (usize, i32) {
-        let half = (self.distances / 2) as f32;
-        let mut best = (0, i32::MIN);
-        for (n, (c, s)) in self.directions.iter().enumerate() {
-            let r = (x as f32 * c + y as f32 * s + half + 0.5) as usize;
-            let count = &mut self.counts[n * self.distances + r];
+    fn add(&mut self, x: usize, y: usize, by: i16) -> (usize, i32) {
+        let (x, y) = (x as f32, y as f32);
+        // All distances first: many at once.
+        let rows: [i32; ANGLES] = std::array::from_fn(|n| (x * self.cosines[n] + y * self.sines[n] + self.nearest) as i32);
+        let mut best = (0, i16::MIN);
+        for ((n, counts), r) in self.counts.chunks_exact_mut(self.distances).enumerate().zip(rows) {
+            let count = &mut counts[r as usize];
             *count += by;
             if *count > best.1 {
                 best = (n, *count);
             }
         }
-        best
+        (best.0, i32::from(best.1))
     }
 }
 
@@ -134,7 +144,7 @@ pub fn segments(edges: &[bool], width: usize, height: usize, search: Search, rng
         if count < search.threshold {
             continue;
         }
-        let (c, s) = votes.directions[angle];
+        let (c, s) = (votes.cosines[angle], votes.sines[angle]);
         // Along the line, one pixel at a time on its longer axis.
         let scale = c.abs().max(s.abs());
         let step = [f64::from(-s / scale), f64::from(c / scale)];
@@ -174,6 +184,9 @@ pub fn segments(edges: &[bool], width: usize, height: usize, search: Search, rng
         if long {
             let point = |t: f64| [x as f64 + 0.5 + t * step[0], y as f64 + 0.5 + t * step[1]];
             found.push([point(ends[0]), point(-ends[1])]);
+            if found.len() >= search.enough {
+                break;
+            }
         }
     }
     found
@@ -192,7 +205,7 @@ mod tests {
         let edges = canny(&grey, 50, 200);
         let count = edges.iter().filter(|e| **e).count();
         assert!((150..200).contains(&count), "{count}");
-        let search = Search { threshold: 20, min_length: 15.0, max_gap: 5 };
+        let search = Search { threshold: 20, min_length: 15.0, max_gap: 5, enough: usize::MAX };
         let found = segments(&edges, w, h, search, &mut Rng::for_item(0, "test/hough", 0));
         for (point, side) in [([37.0, 12.0], "top"), ([60.0, 33.0], "right"), ([37.0, 55.0], "bottom"), ([15.0, 33.0], "left")] {
             let near = |s: &&[Point; 2]| distance(s[0], s[1]) > 35.0 && Line::through(s[0], s[1]).unwrap().distance(point).abs() < 1.6;

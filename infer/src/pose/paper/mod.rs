@@ -8,11 +8,17 @@ pub mod clusters;
 pub mod hough;
 mod morphology;
 
-use super::{Config, Refusal, crop::Picture, plane::Point, quad};
+use super::{
+    Config, Refusal,
+    crop::{Colour, Picture},
+    plane::Point,
+    quad,
+};
 use clusters::Segment;
 use hough::{Grey, Search};
 use image::{Rgb, RgbImage};
 use morphology::{Mask, morph};
+use std::sync::LazyLock;
 use tcross_dataset::{Homography, PixelBox, Pose, Quad, Rng, geom::quad::angle_deg};
 
 /// Longer side of the box in the scaled crop, px.
@@ -110,21 +116,76 @@ impl Crop {
     }
 }
 
+/// What a cell of the scaled crop takes from pixels along one axis: where they begin, and each one's share.
+struct Taps {
+    first: usize,
+    shares: Vec<f32>,
+}
+
+/// The mean of `samples` places a cell, each between two pixels; beyond the picture its border repeats.
+fn taps(start: f64, step: f64, count: usize, samples: usize, limit: usize) -> Vec<Taps> {
+    let last = limit - 1;
+    let cell = |i: usize| {
+        let place = |k: usize| {
+            let at = start + step * (i as f64 + (k as f64 + 0.5) / samples as f64) - 0.5;
+            at.clamp(0.0, last as f64)
+        };
+        let first = place(0) as usize;
+        let mut shares = vec![0.0f32; (place(samples - 1) as usize + 1).min(last) - first + 1];
+        for at in (0..samples).map(place) {
+            let (j, part) = (at as usize, at.fract() as f32);
+            shares[j - first] += (1.0 - part) / samples as f32;
+            shares[(j + 1).min(last) - first] += part / samples as f32;
+        }
+        Taps { first, shares }
+    };
+    (0..count).map(cell).collect()
+}
+
+/// sRGB bytes of linear light, by its square root: the curve is nearly straight there, so a byte is off by one at most, and seldom.
+static BYTES: LazyLock<[u8; 4096]> = LazyLock::new(|| {
+    std::array::from_fn(|i| {
+        let v = (i as f32 / 4095.0).powi(2);
+        (255.0 * if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }).round() as u8
+    })
+});
+
 fn scaled_crop(picture: &Picture, b: &PixelBox) -> Crop {
     let step = b.width().max(b.height()) / SIDE;
     let origin = [b.x_min - PADDING * step, b.y_min - PADDING * step];
-    let size = |extent: f64| (extent / step + 2.0 * PADDING).ceil().max(1.0) as u32;
-    let samples = (step.ceil() as u32).clamp(1, 3);
-    let byte = |v: f32| (255.0 * if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }).round() as u8;
-    let rgb = RgbImage::from_fn(size(b.width()), size(b.height()), |x, y| {
-        let mut sum = [0.0f32; 3];
-        for s in 0..samples * samples {
-            let at = |v: u32, k: u32| f64::from(v) + (f64::from(k) + 0.5) / f64::from(samples);
-            let c = picture.at([origin[0] + step * at(x, s % samples), origin[1] + step * at(y, s / samples)]);
-            (0..3).for_each(|k| sum[k] += c[k] / (samples * samples) as f32);
+    let size = |extent: f64| (extent / step + 2.0 * PADDING).ceil().max(1.0) as usize;
+    let (w, h) = (size(b.width()), size(b.height()));
+    let samples = (step.ceil() as usize).clamp(1, 3);
+    let columns = taps(origin[0], step, w, samples, picture.width);
+    let rows = taps(origin[1], step, h, samples, picture.height);
+    // Rows of the picture scaled along x, as far as the cells' rows want them.
+    let top = rows[0].first;
+    let bottom = rows.last().map_or(top, |r| r.first + r.shares.len());
+    let mut lines: Vec<Colour> = Vec::with_capacity((bottom - top) * w);
+    for y in top..bottom {
+        lines.extend(columns.iter().map(|taps| {
+            let mut sum = [0.0f32; 3];
+            for (k, share) in taps.shares.iter().enumerate() {
+                let pixel = picture.pixel(taps.first + k, y);
+                (0..3).for_each(|c| sum[c] += share * pixel[c]);
+            }
+            sum
+        }));
+    }
+    let bytes: &[u8; 4096] = &BYTES;
+    let mut raw = Vec::with_capacity(3 * w * h);
+    let mut sums: Vec<Colour> = vec![[0.0; 3]; w];
+    for taps in &rows {
+        sums.fill([0.0; 3]);
+        for (k, share) in taps.shares.iter().enumerate() {
+            let from = (taps.first + k - top) * w;
+            for (sum, v) in sums.iter_mut().zip(&lines[from..from + w]) {
+                (0..3).for_each(|c| sum[c] += share * v[c]);
+            }
         }
-        Rgb(sum.map(byte))
-    });
+        raw.extend(sums.iter().flatten().map(|v| bytes[((4095.0 * v.sqrt() + 0.5) as usize).min(4095)]));
+    }
+    let rgb = RgbImage::from_raw(w as u32, h as u32, raw).unwrap_or_default();
     let bounds = PixelBox::from([PADDING, PADDING, PADDING + b.width() / step, PADDING + b.height() / step]);
     Crop { rgb, bounds, origin, step }
 }
@@ -144,7 +205,8 @@ fn hue(Rgb([r, g, b]): &Rgb<u8>) -> u8 {
     } else {
         4.0 + (r - g) / range
     };
-    ((30.0 * sextant).round().rem_euclid(180.0)) as u8 % 180
+    // Rounded, and below zero from the other end of the circle.
+    ((30.0 * sextant + 180.5) as u32 % 180) as u8
 }
 
 /// The hue that most pixels inside the box's inscribed diamond have.
@@ -175,22 +237,31 @@ fn to_grey(mask: &Mask) -> Grey {
 
 /// 11x11, sigma 2; the border repeats.
 fn gaussian(grey: &Grey) -> Grey {
+    const REACH: usize = 5;
     let (w, h) = (grey.width, grey.height);
-    let mut kernel: [f32; 11] = std::array::from_fn(|k| (-((k as f32 - 5.0) / 2.0).powi(2) / 2.0).exp());
+    let mut kernel: [f32; 2 * REACH + 1] = std::array::from_fn(|k| (-((k as f32 - REACH as f32) / 2.0).powi(2) / 2.0).exp());
     let sum: f32 = kernel.iter().sum();
     kernel.iter_mut().for_each(|k| *k /= sum);
-    let near = |v: usize, k: usize, limit: usize| (v + k).saturating_sub(5).min(limit - 1);
-    let mut rows = vec![0.0f32; w * h];
-    let mut out = vec![0u8; w * h];
-    for (i, v) in rows.iter_mut().enumerate() {
-        let (x, y) = (i % w, i / w);
-        *v = (0..11).map(|k| kernel[k] * f32::from(grey.pixels[y * w + near(x, k, w)])).sum();
+    let mut rows: Vec<f32> = Vec::with_capacity(w * h);
+    let mut wide: Vec<f32> = Vec::with_capacity(w + 2 * REACH);
+    for row in grey.pixels.chunks_exact(w) {
+        // The row with its ends repeated.
+        wide.clear();
+        wide.extend((0..w + 2 * REACH).map(|x| f32::from(row[x.saturating_sub(REACH).min(w - 1)])));
+        rows.extend(wide.windows(kernel.len()).map(|v| kernel.iter().zip(v).map(|(k, v)| k * v).sum::<f32>()));
     }
-    for (i, v) in out.iter_mut().enumerate() {
-        let (x, y) = (i % w, i / w);
-        *v = (0..11).map(|k| kernel[k] * rows[near(y, k, h) * w + x]).sum::<f32>().round() as u8;
+    let mut pixels = Vec::with_capacity(w * h);
+    let mut sums = vec![0.0f32; w];
+    for y in 0..h {
+        sums.fill(0.0);
+        for (k, share) in kernel.iter().enumerate() {
+            let from = (y + k).saturating_sub(REACH).min(h - 1) * w;
+            sums.iter_mut().zip(&rows[from..from + w]).for_each(|(s, v)| *s += share * v);
+        }
+        // Rounded: all are positive.
+        pixels.extend(sums.iter().map(|v| (v + 0.5) as u8));
     }
-    Grey { width: w, height: h, pixels: out }
+    Grey { width: w, height: h, pixels }
 }
 
 fn otsu(grey: &Grey) -> Grey {
@@ -199,17 +270,23 @@ fn otsu(grey: &Grey) -> Grey {
     Grey { pixels: grey.pixels.iter().map(|p| if *p > level { 255 } else { 0 }).collect(), ..*grey }
 }
 
+/// Tries at a threshold, and so many lines are too many.
+const TRIES: u64 = 20;
+const TOO_MANY: usize = 40;
+
 /// Raises the threshold from 20 by 5 (by 1 after seven tries) until more than 10 and fewer than 40 lines are found; after 20
 /// tries the last answer stands.
 fn adaptive_hough(edges: &[bool], w: usize, h: usize) -> Vec<Segment> {
     let mut threshold = 20;
     let mut lines = Vec::new();
     let mut rising = true;
-    for attempt in 0..20u64 {
-        let search = Search { threshold, min_length: 15.0, max_gap: 50 };
+    for attempt in 0..TRIES {
+        // Forty are too many, however many more there are, as long as another try follows.
+        let enough = if attempt + 1 < TRIES { TOO_MANY } else { usize::MAX };
+        let search = Search { threshold, min_length: 15.0, max_gap: 50, enough };
         lines = hough::segments(edges, w, h, search, &mut Rng::for_item(0, "infer/hough", attempt));
         let few = lines.len() <= 10;
-        if !few && lines.len() < 40 {
+        if !few && lines.len() < TOO_MANY {
             break;
         }
         // Too few already at the lowest threshold: go down instead.
@@ -246,6 +323,30 @@ mod tests {
             [([255, 0, 0], 0), ([255, 255, 0], 30), ([0, 255, 0], 60), ([0, 0, 255], 120), ([255, 0, 10], 179), ([7, 7, 7], 0)]
         {
             assert_eq!(hue(&Rgb(rgb)), want, "{rgb:?}");
+        }
+    }
+
+    #[test]
+    fn the_crop_equals_single_samples_between_pixels() {
+        let mut rng = Rng::for_item(3, "test/crop", 0);
+        let image = RgbImage::from_fn(230, 190, |_, _| Rgb(std::array::from_fn(|_| rng.uniform(0.0, 255.9) as u8)));
+        let picture = Picture::new(&image).unwrap();
+        // Enlarged, reduced, and beyond the picture's border.
+        for b in [[60.0, 50.0, 100.5, 95.0], [20.3, 10.2, 200.1, 170.0], [-5.0, 3.0, 228.0, 189.5]].map(PixelBox::from) {
+            let crop = scaled_crop(&picture, &b);
+            let samples = (crop.step.ceil() as u32).clamp(1, 3);
+            for (x, y, Rgb(pixel)) in crop.rgb.enumerate_pixels() {
+                let mut sum = [0.0f32; 3];
+                for s in 0..samples * samples {
+                    let at = |v: u32, k: u32| f64::from(v) + (f64::from(k) + 0.5) / f64::from(samples);
+                    let c = picture.at(crop.to_source([at(x, s % samples), at(y, s / samples)]));
+                    (0..3).for_each(|k| sum[k] += c[k] / (samples * samples) as f32);
+                }
+                for (v, got) in sum.iter().zip(pixel) {
+                    let want = 255.0 * if *v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };
+                    assert!((want - f32::from(*got)).abs() < 1.0, "{x} {y}: {got} not {want}");
+                }
+            }
         }
     }
 

@@ -1,12 +1,14 @@
 #!/usr/bin/env python3
-"""Images a second of the generator beside a straightforward Python and OpenCV generator, taking turns in one run, and memory by image count.
+"""Images a second of the generator beside a straightforward Python and OpenCV generator, taking turns in one run; or memory by image count.
 
     cargo build --release -p tcross
     python3 scripts/bench-datagen.py --peer ../shared/peers/gen_naive.py --photos ../shared/backgrounds [--rounds 3] [--images 600]
+    python3 scripts/bench-datagen.py --memory 500,2000,8000 --photos ../shared/backgrounds
 
 The peer's file offers `work((seed, count, photos, out))`, which makes `count` images; it runs in two processes, as T-cross runs on two
 threads. Both read the same photos. T-cross's time is that of the whole program: start, a look at every photo for near-duplicates, lists,
-digests. Without an idle machine compare ratios; "images per CPU second" counts the processors' time and is steadier.
+digests. Without an idle machine compare ratios; "images per CPU second" counts the processors' time and is steadier. Memory is the most that
+was resident at once, as the kernel counts it; it needs neither a peer nor an idle machine.
 Needs `pip install "opencv-python-headless<5" numpy`.
 """
 import argparse, importlib.util, multiprocessing, os, pathlib, resource, shutil, statistics, subprocess, sys, tempfile, time
@@ -43,16 +45,34 @@ def tcross(program, preset, photos, out, images, threads):
     return used.ru_maxrss / 1024
 
 
+def memory(args):
+    """The most resident memory of a run, by what is made and how many images."""
+    counts = [int(count) for count in args.memory.split(",")]
+    makes = {"hand-drawn, embedded scenes": ("hand-drawn", None), "paper-exact, photos": ("paper-exact", args.photos),
+             "hand-drawn, photos": ("hand-drawn", args.photos)}
+    print("| most resident memory, MiB | " + " | ".join(f"{count} images" for count in counts) + " |\n|---" + "|---:" * len(counts) + "|")
+    for name, (preset, photos) in makes.items():
+        print(f"| {name} ", end="", flush=True)
+        for count in counts:
+            with tempfile.TemporaryDirectory() as scratch:
+                print(f"| {tcross(args.program, preset, photos, pathlib.Path(scratch) / 'set', count, args.threads):.0f} ", end="", flush=True)
+        print("|")
+
+
 def main():
     words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    words.add_argument("--peer", type=pathlib.Path, required=True)
+    words.add_argument("--peer", type=pathlib.Path)
     words.add_argument("--photos", type=pathlib.Path, required=True)
     words.add_argument("--rounds", type=int, default=3)
     words.add_argument("--images", type=int, default=600)
     words.add_argument("--threads", type=int, default=2)
     words.add_argument("--program", default=str(ROOT / "target/release/tcross"))
-    words.add_argument("--memory", action="store_true", help="also the most memory for a tenth, once and three times the images")
+    words.add_argument("--memory", help="most memory for these numbers of images, instead of speed")
     args = words.parse_args()
+    if args.memory:
+        return memory(args)
+    if not args.peer:
+        words.error("--peer is needed to compare speeds")
     photos = sorted(str(p) for p in args.photos.rglob("*.jpg"))
     naive, n = peer(args.peer), args.images
     scratch = pathlib.Path(tempfile.mkdtemp())
@@ -64,6 +84,8 @@ def main():
         workers = [multiprocessing.Process(target=naive.work, args=(part,)) for part in share]
         [w.start() for w in workers]
         [w.join() for w in workers]
+        if any(w.exitcode for w in workers):
+            sys.exit("the peer failed")
 
     def run_tcross(preset, with_photos):
         shutil.rmtree(scratch / "ours", ignore_errors=True)
@@ -85,11 +107,6 @@ def main():
     for name, taken in times.items():
         wall, best, used = statistics.median(t[0] for t in taken), min(t[0] for t in taken), min(t[1] for t in taken)
         print(f"| {name} | {n / wall:.1f} | {n / best:.1f} | {n / used:.1f} | {base / wall:.2f} |")
-    if args.memory:
-        print("\n| images | most memory, MiB |\n|---:|---:|")
-        for count in [max(n // 10, 10), n, 3 * n]:
-            shutil.rmtree(scratch / "ours", ignore_errors=True)
-            print(f"| {count} | {tcross(args.program, 'hand-drawn', args.photos, scratch / 'ours', count, args.threads):.0f} |")
     shutil.rmtree(scratch)
 
 

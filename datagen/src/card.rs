@@ -7,7 +7,12 @@ use crate::{
 };
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
-use std::{fmt::Write, fs, path::Path};
+use std::{
+    fmt::Write,
+    fs,
+    io::{self, Read},
+    path::Path,
+};
 use tcross_dataset::{DatasetError, files};
 
 /// The first line of every card that this program wrote; a `README.md` without it is someone else's and stays.
@@ -129,16 +134,16 @@ fn croissant(manifest: &Manifest, dir: &Path) -> Result<Value, DatagenError> {
     let story = Story::of(manifest);
     let mut files = vec![json!({
         "@type": "cr:FileObject", "@id": "dataset-folder", "name": "dataset-folder", "description": "The folder of this file.",
-        "contentUrl": ".", "encodingFormat": "inode/directory", "sha256": hex(manifest.fingerprint.as_bytes()),
+        "contentUrl": ".", "encodingFormat": "inode/directory", "sha256": hex(Sha256::new().chain_update(&manifest.fingerprint)),
     })];
     let mut lists = Vec::new();
     for split in manifest.counts.keys() {
         let name = format!("{split}.jsonl");
         let path = dir.join(&name);
-        let bytes = fs::read(&path).map_err(|e| DatagenError::io(&path, e))?;
+        let digest = digest(&path).map_err(|e| DatagenError::io(&path, e))?;
         files.push(json!({
             "@type": "cr:FileObject", "@id": name, "name": name, "description": format!("One line of truth an image of {split}."),
-            "contentUrl": name, "encodingFormat": "application/jsonlines", "sha256": hex(&bytes),
+            "contentUrl": name, "encodingFormat": "application/jsonlines", "sha256": digest,
         }));
         files.push(json!({
             "@type": "cr:FileSet", "@id": format!("{split}-images"), "name": format!("{split}-images"),
@@ -179,27 +184,31 @@ fn croissant(manifest: &Manifest, dir: &Path) -> Result<Value, DatagenError> {
 
 /// The fields of a list, as a reader of JSON lines finds them.
 fn records(split: &str, list: &str) -> Value {
-    let field = |name: &str, kind: &str, path: &str, what: &str, repeated: bool| {
-        let mut field = json!({
+    let field = |name: &str, kind: &str, column: &str, what: &str| {
+        json!({
             "@type": "cr:Field", "@id": format!("{split}/{name}"), "name": format!("{split}/{name}"), "description": what, "dataType": kind,
-            "source": { "fileObject": { "@id": list }, "extract": { "jsonPath": path } },
-        });
-        if repeated {
-            field["repeated"] = true.into();
-        }
+            "source": { "fileObject": { "@id": list }, "extract": { "column": column } },
+        })
+    };
+    let of_image = |name: &str, kind: &str, what: &str| field(name, kind, name, what);
+    // The keys of a line are columns to a reader of JSON lines; a path within a column is followed in each of its markers.
+    let of_marker = |name: &str, kind: &str, what: &str| {
+        let mut field = field(name, kind, "markers", what);
+        field["source"]["transform"] = json!({ "jsonPath": format!("$.{name}") });
+        field["repeated"] = true.into();
         field
     };
     json!({
         "@type": "cr:RecordSet", "@id": split, "name": split, "description": format!("The images of {split}, one a record."),
         "field": [
-            field("image", "sc:Text", "$.image", "Path of the picture in the dataset's folder.", false),
-            field("width", "sc:Integer", "$.width", "In pixels.", false),
-            field("height", "sc:Integer", "$.height", "In pixels.", false),
-            field("shape", "sc:Text", "$.markers[*].shape", "Shape of each marker.", true),
-            field("box", "sc:Float", "$.markers[*].box", "x_min, y_min, x_max, y_max of what is drawn and visible, pixels.", true),
-            field("corners", "sc:Float", "$.markers[*].corners", "Four corners, clockwise as seen, the stem's first, pixels.", true),
-            field("center", "sc:Float", "$.markers[*].center", "Where the lines meet, pixels.", true),
-            field("angle", "sc:Float", "$.markers[*].angle", "Of the vector from the centre to the stem's corner, degrees, 0 right, 90 up.", true),
+            of_image("image", "sc:Text", "Path of the picture in the dataset's folder."),
+            of_image("width", "sc:Integer", "In pixels."),
+            of_image("height", "sc:Integer", "In pixels."),
+            of_marker("shape", "sc:Text", "Shape of each marker."),
+            of_marker("box", "sc:Float", "x_min, y_min, x_max, y_max of what is drawn and visible, pixels."),
+            of_marker("corners", "sc:Float", "Four corners, clockwise as seen, the stem's first, pixels."),
+            of_marker("center", "sc:Float", "Where the lines meet, pixels."),
+            of_marker("angle", "sc:Float", "Of the vector from the centre to the stem's corner, degrees, 0 right, 90 up."),
         ],
     })
 }
@@ -209,17 +218,28 @@ fn context() -> Value {
         "@language": "en", "@vocab": "https://schema.org/", "citeAs": "cr:citeAs", "column": "cr:column", "conformsTo": "dct:conformsTo",
         "cr": "http://mlcommons.org/croissant/", "rai": "http://mlcommons.org/croissant/RAI/",
         "data": { "@id": "cr:data", "@type": "@json" }, "dataType": { "@id": "cr:dataType", "@type": "@vocab" },
-        "dct": "http://purl.org/dc/terms/", "examples": { "@id": "cr:examples", "@type": "@json" }, "extract": "cr:extract",
+        "dct": "http://purl.org/dc/terms/", "equivalentProperty": "cr:equivalentProperty", "examples": { "@id": "cr:examples", "@type": "@json" }, "extract": "cr:extract",
         "field": "cr:field", "fileProperty": "cr:fileProperty", "fileObject": "cr:fileObject", "fileSet": "cr:fileSet", "format": "cr:format",
         "includes": "cr:includes", "isLiveDataset": "cr:isLiveDataset", "jsonPath": "cr:jsonPath", "key": "cr:key", "md5": "cr:md5",
         "parentField": "cr:parentField", "path": "cr:path", "recordSet": "cr:recordSet", "references": "cr:references", "regex": "cr:regex",
-        "repeated": "cr:repeated", "replace": "cr:replace", "sc": "https://schema.org/", "separator": "cr:separator", "source": "cr:source",
+        "repeated": "cr:repeated", "replace": "cr:replace", "samplingRate": "cr:samplingRate", "sc": "https://schema.org/", "separator": "cr:separator", "source": "cr:source",
         "subField": "cr:subField", "transform": "cr:transform",
     })
 }
 
-fn hex(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().fold(String::new(), |mut out, b| {
+/// SHA-256 of a file, a piece at a time: lists grow with the dataset, memory must not.
+fn digest(path: &Path) -> io::Result<String> {
+    let (mut file, mut piece, mut hasher) = (fs::File::open(path)?, vec![0; 1 << 16], Sha256::new());
+    loop {
+        match file.read(&mut piece)? {
+            0 => return Ok(hex(hasher)),
+            n => hasher.update(&piece[..n]),
+        }
+    }
+}
+
+fn hex(hasher: Sha256) -> String {
+    hasher.finalize().iter().fold(String::new(), |mut out, b| {
         let _ = write!(out, "{b:02x}");
         out
     })

@@ -42,16 +42,14 @@ pub fn sample(config: &Config, backgrounds: &Backgrounds, seed: u64, index: u64)
         distortion: None,
         effects: backdrop.effects.clone(),
     };
+    record.effects.insert("jpeg_quality".into(), quality.into());
     let image = match config.style {
         Style::Paper => {
             let mut image = backdrop.into_image();
             record.markers.push(paper::draw(&mut image, &config.paper, &mut Rng::for_item(seed, "datagen/paper", index)));
             image
         }
-        Style::HandDrawn => {
-            record.effects.insert("jpeg_quality".into(), quality.into());
-            hand::draw(backdrop.into_canvas(), config, seed, index, moment, &mut record)
-        }
+        Style::HandDrawn => hand::draw(backdrop.into_canvas(), config, seed, index, moment, &mut record),
     };
     Ok(Sample { image, record, quality })
 }

@@ -67,6 +67,8 @@ pub struct Sheet {
     pub base: Linear,
     /// Margins around the marker's rectangle, in sides: left, top, right, bottom; `None` where there is no sheet.
     pub margins: Option<[f32; 4]>,
+    /// What was drawn for them from the config, in sides.
+    pub margin: Option<f64>,
     /// Width over which the sheet fades into its surroundings, in sides; 0 for paper, whose edge is cut.
     pub fade: f32,
     /// The shadow that a sheet casts on what it lies on.
@@ -125,10 +127,8 @@ impl Sheet {
         };
         // A patch of a wall or a road is larger than a sheet and ends in a stain, not in a cut.
         let fade = if matches!(surface, Surface::Wall | Surface::Asphalt) { rng.uniform(0.05, 0.4) as f32 } else { 0.0 };
-        let margins = (surface != Surface::Photo).then(|| {
-            let even = margin.sample(rng);
-            std::array::from_fn(|_| (even * rng.uniform(0.6, 1.6)) as f32 + fade)
-        });
+        let margin = (surface != Surface::Photo).then(|| margin.sample(rng));
+        let margins = margin.map(|even| std::array::from_fn(|_| (even * rng.uniform(0.6, 1.6)) as f32 + fade));
         let ruled = matches!(surface, Surface::Ruled | Surface::Squared);
         let period = rng.log_uniform(0.05, 0.3) as f32;
         let blue = color::from_hsv(rng.uniform(190.0, 250.0), rng.uniform(0.2, 0.7), 0.75);
@@ -143,6 +143,7 @@ impl Sheet {
         Self {
             base,
             margins,
+            margin,
             fade,
             rule: ruled.then_some(rule),
             // Paper is even but for its fibres; walls and boards have clouds and scratches.

@@ -110,10 +110,12 @@ pub struct Marker {
     /// Reflected light on it: its place `x, y` and its radius in sides from the middle, and its strength.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub glare: Option<[f64; 4]>,
-    /// How the hand drew it, by name: `aspect` (width over height), `wobble` (thousandths of the side), `corner_error`, `end_error`,
-    /// `line_width` (sides), `hatched` (0 or 1).
+    /// How the hand drew it, by name, such as `aspect` (width over height) and `wobble` (thousandths of the side).
     #[serde(default, skip_serializing_if = "serde_json::Map::is_empty")]
     pub hand: serde_json::Map<String, serde_json::Value>,
+    /// What was drawn from the config for it, by name, where the other keys do not tell.
+    #[serde(default, skip_serializing_if = "serde_json::Map::is_empty")]
+    pub asked: serde_json::Map<String, serde_json::Value>,
     /// Rotation of the marker in the camera's frame, row-major.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rotation: Option<[f64; 9]>,
@@ -154,6 +156,7 @@ impl Marker {
             bend: None,
             glare: None,
             hand: serde_json::Map::new(),
+            asked: serde_json::Map::new(),
             rotation: None,
             translation: None,
             mask: None,

@@ -19,10 +19,24 @@ pub(super) fn fit(column: &Column, level: f64) -> Option<Fit> {
             let cell = |k: i64| (k as f64, law.cdf(k as f64 + 0.5) - law.cdf(k as f64 - 0.5));
             categories(&values, &(lo.round() as i64..=hi.round() as i64).map(cell).collect::<Vec<_>>())
         }
+        Law::Whole(law) => {
+            let (lo, hi) = law.bounds();
+            // What lies below a whole number, without the number itself: values that a law gives stand farther apart than this.
+            let below = |k: i64| law.cdf(k as f64 - 1e-9);
+            let cell = |k: i64| (k as f64, below(k + 1) - below(k));
+            categories(&values, &(lo.floor() as i64..=hi.floor() as i64).map(cell).collect::<Vec<_>>())
+        }
+        Law::Tally { share, some, all } => {
+            let cells = vec![(*some, share * all), (all - some, (1.0 - share) * all)];
+            if cells.iter().any(|c| c.0 > 0.0 && c.1 <= 0.0) { (f64::INFINITY, 0.0) } else { over_cells(cells) }
+        }
         Law::Choice(shares) => categories(&values, &shares.iter().enumerate().map(|(k, s)| (k as f64, s.0)).collect::<Vec<_>>()),
     };
-    let mean = values.iter().sum::<f64>() / n;
-    Some(Fit { name: column.name.into(), asked: column.law.words(), count: values.len(), mean, statistic, p, good: p >= level })
+    let (mean, count) = match column.law {
+        Law::Tally { some, all, .. } => (some / all, all as usize),
+        _ => (values.iter().sum::<f64>() / n, values.len()),
+    };
+    Some(Fit { name: column.name.into(), key: column.key.into(), asked: column.law.words(), count, mean, statistic, p, good: p >= level })
 }
 
 /// Chi-squared over values that have a probability each; any other value is impossible.
@@ -82,11 +96,20 @@ fn over_cells(cells: Vec<(f64, f64)>) -> (f64, f64) {
     (chi / freedom, if large.len() < 2 { 1.0 } else { upper_normal(z) })
 }
 
-/// Pairs that are tied by design: how much is visible depends on what covers it and on the size, which decides what the border cuts.
+/// Pairs that are tied by design.
 fn tied(a: &str, b: &str) -> bool {
-    // A direction of motion is known only where the motion is long enough to be seen.
-    let seen = ["motion_blur", "motion_angle_deg"];
-    a == "visible" || b == "visible" || (seen.contains(&a) && seen.contains(&b))
+    let pair = |x: &str, y: &str| (a, b) == (x, y) || (b, a) == (x, y);
+    // How many strokes there are, and so how finely the share of those with a gap is stepped, depends on what is drawn how.
+    let strokes = ["shape", "medium", "line_medium", "aspect", "hatched", "hatch_spacing", "hatch_deg", "outlined", "retraced"];
+    // How much is visible depends on what covers it and on the size, which decides what the border cuts.
+    a == "visible" || b == "visible"
+        || strokes.iter().any(|x| pair(x, "gaps"))
+        // How many lines there are.
+        || pair("shape", "retraced")
+        // An image without a marker is one for which none was asked.
+        || pair("markers", "empty")
+        // The paper's coloured variants take both colours from the same draws.
+        || pair("fill_level", "line_level")
 }
 
 /// How two columns go together; `None` where too few images have both.

@@ -138,10 +138,11 @@ impl Backgrounds {
                 Ok(Backdrop { name, effects: Map::new(), picture: Picture::Light(canvas) })
             }
             Self::Photos(photos) => {
-                let Cut { name, crop, mirrored, image } = photos.cut(config, seed, index)?;
+                let Cut { name, fraction, crop, mirrored, image } = photos.cut(config, seed, index)?;
                 let mut effects = Map::new();
                 effects.insert("crop".into(), serde_json::json!(crop));
                 effects.insert("mirrored".into(), mirrored.into());
+                effects.insert("asked".into(), serde_json::json!({ "crop": (fraction * 1e4).round() / 1e4 }));
                 Ok(Backdrop { name, effects, picture: Picture::Stored(image) })
             }
         }

@@ -43,6 +43,8 @@ struct Cache {
 pub struct Cut {
     /// The photo.
     pub name: String,
+    /// The part of the largest crop that was drawn from the config; a small photo is cut no smaller than the image.
+    pub fraction: f64,
     /// `[x, y, width, height]` in its pixels (of the reduced copy where it is huge).
     pub crop: [f64; 4],
     /// Whether it was mirrored afterwards.
@@ -161,12 +163,13 @@ impl Photos {
         };
         let (name, photo) = self.whole(config, seed, split, rank)?;
         let mut rng = Rng::for_item(seed, "datagen/crop", index);
-        let (crop, mut image) = crop(&photo, size(config), config.background.crop.sample(&mut rng), &mut rng);
+        let fraction = config.background.crop.sample(&mut rng);
+        let (crop, mut image) = crop(&photo, size(config), fraction, &mut rng);
         let mirrored = rng.chance(config.background.mirrored);
         if mirrored {
             image::imageops::flip_horizontal_in_place(&mut image);
         }
-        Ok(Cut { name, crop, mirrored, image })
+        Ok(Cut { name, fraction, crop, mirrored, image })
     }
 
     /// The whole photo behind video `sequence`, no larger than `width` by `height` asks for.

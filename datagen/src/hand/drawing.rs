@@ -35,6 +35,30 @@ pub struct Habits {
     pub line_width: f64,
     /// Whether the fill is hatched.
     pub hatched: bool,
+    /// Distance of the hatching's strokes in nib widths, and its angle in degrees; `None` where the fill is not hatched.
+    pub hatch: Option<[f64; 2]>,
+    /// Whether an outline is drawn around the fill; `None` where there is no fill by hand.
+    pub outlined: Option<bool>,
+    /// Lines by hand, and how many of them are drawn twice.
+    pub lines: Tally,
+    /// Strokes by hand, and how many of them have a gap.
+    pub strokes: Tally,
+}
+
+/// How many there are, and how many of them are of a kind that the config gives a share.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Tally {
+    /// All of them.
+    pub all: u32,
+    /// Those of the kind.
+    pub some: u32,
+}
+
+impl Tally {
+    fn count(&mut self, of_the_kind: bool) {
+        self.all += 1;
+        self.some += u32::from(of_the_kind);
+    }
 }
 
 /// What is to be drawn.
@@ -60,6 +84,7 @@ struct Hand<'a> {
     /// Deviation of the middle of a stroke of one side, in sides.
     wobble: f64,
     end_error: f64,
+    strokes: Tally,
     rng: Rng,
 }
 
@@ -82,33 +107,34 @@ impl Plan<'_> {
         let geometry = self.shape.geometry();
         habits.wobble = config.wobble.sample(&mut rng);
         habits.end_error = config.end_error.sample(&mut rng);
-        let mut hand = Hand { config, wobble: habits.wobble / 1000.0, end_error: habits.end_error, rng };
+        let mut hand = Hand { config, wobble: habits.wobble / 1000.0, end_error: habits.end_error, strokes: Tally::default(), rng };
         let reach = [(w + MARGIN) as f32, (h + MARGIN) as f32];
         let (mut fill, mut lines) = (Ink::bare(reach, self.scale), Ink::bare(reach, self.scale));
         if geometry.filled {
-            habits.hatched = self.lay_fill(&mut fill, &geometry, &plane_from_unit, &mut hand);
+            self.lay_fill(&mut fill, &geometry, &plane_from_unit, &mut hand, &mut habits);
         }
-        let center;
-        (center, habits.line_width) = self.lay_lines(&mut lines, &geometry, &plane_from_unit, &mut hand);
+        let center = self.lay_lines(&mut lines, &geometry, &plane_from_unit, &mut hand, &mut habits);
+        habits.strokes = hand.strokes;
         let mut offset = || [hand.rng.uniform(0.0, 256.0) as f32, hand.rng.uniform(0.0, 256.0) as f32];
         fill.weather(self.fill, offset());
         lines.weather(self.line, offset());
         Drawing { fill, lines, corners, center, habits }
     }
 
-    /// Lays the fill and says whether it is hatched.
-    fn lay_fill(&self, ink: &mut Ink, geometry: &Geometry, map: &Homography, hand: &mut Hand) -> bool {
+    /// Lays the fill and notes how.
+    fn lay_fill(&self, ink: &mut Ink, geometry: &Geometry, map: &Homography, hand: &mut Hand, habits: &mut Habits) {
         let outline: Vec<[f64; 2]> = geometry.outline.iter().map(|p| map.apply(*p)).collect();
         let nature = self.fill;
-        let hatched = hand.rng.chance(hand.config.hatched) && nature.hand > 0.0;
+        habits.hatched = hand.rng.chance(hand.config.hatched) && nature.hand > 0.0;
         let nib = hand.rng.log_uniform(nature.nib[0], nature.nib[1]) * 0.5;
         let offset = [hand.rng.uniform(0.0, 256.0) as f32, hand.rng.uniform(0.0, 256.0) as f32];
-        if !hatched {
+        if !habits.hatched {
             let flat: Vec<[f32; 2]> = outline.iter().map(|p| p.map(|v| v as f32)).collect();
             ink.flood(&flat, 1.0);
         } else {
-            let angle = hand.config.hatch_deg.sample(&mut hand.rng).to_radians();
-            let spacing = 2.0 * nib * hand.config.hatch_spacing.sample(&mut hand.rng);
+            let (degrees, apart) = (hand.config.hatch_deg.sample(&mut hand.rng), hand.config.hatch_spacing.sample(&mut hand.rng));
+            habits.hatch = Some([apart, degrees]);
+            let (angle, spacing) = (degrees.to_radians(), 2.0 * nib * apart);
             let sloppy = hand.rng.uniform(0.0, 1.0);
             let zigzag = hand.rng.chance(0.5);
             let (c, s) = (libm::cos(angle), libm::sin(angle));
@@ -147,7 +173,9 @@ impl Plan<'_> {
                 }
             }
         }
-        if hand.rng.chance(hand.config.outlined) && nature.hand > 0.0 {
+        let outlined = hand.rng.chance(hand.config.outlined) && nature.hand > 0.0;
+        habits.outlined = (nature.hand > 0.0).then_some(outlined);
+        if outlined {
             // The outer edge of the rim follows the corners: the pen runs half a nib inside them.
             let rim = nib.min(0.04);
             let middle = outline.iter().fold([0.0, 0.0], |m, p| [m[0] + p[0] / outline.len() as f64, m[1] + p[1] / outline.len() as f64]);
@@ -164,13 +192,13 @@ impl Plan<'_> {
                 ink.stroke(&touches, nature, offset);
             }
         }
-        hatched
     }
 
-    /// Lays the lines and returns where they meet and how wide they are.
-    fn lay_lines(&self, ink: &mut Ink, geometry: &Geometry, map: &Homography, hand: &mut Hand) -> ([f64; 2], f64) {
+    /// Lays the lines, notes how, and returns where they meet.
+    fn lay_lines(&self, ink: &mut Ink, geometry: &Geometry, map: &Homography, hand: &mut Hand, habits: &mut Habits) -> [f64; 2] {
         let nature = self.line;
         let width = hand.config.line_width.sample(&mut hand.rng);
+        habits.line_width = width;
         let radius = width * 0.5;
         let offset = [hand.rng.uniform(0.0, 256.0) as f32, hand.rng.uniform(0.0, 256.0) as f32];
         let meeting = map.apply([0.5, 0.5]);
@@ -196,14 +224,17 @@ impl Plan<'_> {
             let b = [b[0] - unit[0] * (end + inset), b[1] - unit[1] * (end + inset)];
             let touches = hand.stroke(a, b, radius, nature);
             ink.stroke(&touches, nature, offset);
-            if hand.rng.chance(hand.config.retraced) && nature.hand > 0.0 {
+            let retraced = hand.rng.chance(hand.config.retraced) && nature.hand > 0.0;
+            if nature.hand > 0.0 {
+                habits.lines.count(retraced);
+            }
+            if retraced {
                 let again = hand.stroke(a, b, radius * 0.9, nature);
                 ink.stroke(&again, nature, offset);
             }
             axes.push(touches);
         }
-        let center = if self.shape == Shape::TCross { crossing(&axes[0], &axes[1]).unwrap_or(meeting) } else { meeting };
-        (center, width)
+        if self.shape == Shape::TCross { crossing(&axes[0], &axes[1]).unwrap_or(meeting) } else { meeting }
     }
 }
 
@@ -222,6 +253,9 @@ impl Hand<'_> {
         let uneven = f64::from(nature.uneven);
         let strength = (1.0 + uneven * rng.normal() * 0.5).clamp(0.6, 1.4);
         let gap = (rng.chance(self.config.gaps) && nature.hand > 0.0).then(|| (rng.uniform(0.2, 0.8), rng.uniform(0.01, 0.06)));
+        if nature.hand > 0.0 {
+            self.strokes.count(gap.is_some());
+        }
         // Segments about as long as the nib is wide: shorter ones would not show.
         let steps = ((length / (0.7 * radius + 0.012)).ceil() as usize).clamp(2, 64);
         (0..=steps)

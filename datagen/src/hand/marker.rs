@@ -1,8 +1,8 @@
 //! One marker's choices: shape, size, stance, colours, medium, surface; each from its own stream.
 use super::{
-    drawing::{Drawing, Habits, Plan},
+    drawing::{Drawing, Habits, Plan, Tally},
     film::{Layers, Tint, opacity_on},
-    pick,
+    pick, rounded,
     view::{Camera, Stance, View, place},
 };
 use crate::{
@@ -14,6 +14,7 @@ use crate::{
     shapes::Shape,
     surface::{Sheet, Surface},
 };
+use serde_json::{Map, Value, json};
 use tcross_dataset::{Quad, Rng, geom::quad};
 
 /// Everything chosen for one marker before it is seen.
@@ -29,6 +30,11 @@ pub(super) struct Spec {
     pub(super) line: Linear,
     pub(super) blend: Blend,
     line_medium: Medium,
+    /// The lines' medium as first drawn, before those that would not show on the fill were passed over.
+    first_line_medium: Medium,
+    /// The fill's hue in degrees, and its place in the config's list where there is one.
+    hue: (f64, Option<usize>),
+    bent: bool,
     sheet: Sheet,
     occlusion: f64,
     glare: bool,
@@ -61,11 +67,12 @@ impl Spec {
         let surface = pick(&m.surfaces, Surface::White, &mut stream("surface"));
         let sheet = Sheet::sample(surface, &m.margin, &mut stream("sheet"));
         let mut hues = stream("hue");
-        let hue = match m.hues.len() {
+        let listed = match m.hues.len() {
             0 => None,
-            n => Some(m.hues[turn.map_or_else(|| hues.index(n), |k| (k % n as u64) as usize)] + hues.uniform(-6.0, 6.0)),
+            n => Some(turn.map_or_else(|| hues.index(n), |k| (k % n as u64) as usize)),
         };
-        let (fill, line, line_medium) = colors(config, medium, &sheet, hue, &mut stream("colors"));
+        let hue = listed.map(|k| m.hues[k] + hues.uniform(-6.0, 6.0));
+        let Colors { fill, line, hue, line_medium, first_line_medium } = colors(config, medium, &sheet, hue, &mut stream("colors"));
         let aspect = m.aspect.sample(&mut stream("aspect")).sqrt();
         let mut bend = stream("bend");
         let bent = bend.chance(m.bent) && surface.is_paper();
@@ -91,6 +98,9 @@ impl Spec {
             line,
             blend: pick(&m.blend, Blend::Matched, &mut stream("blend")),
             line_medium,
+            first_line_medium,
+            hue: (hue, listed),
+            bent,
             sheet,
             occlusion: m.occlusion.sample(&mut stream("occlusion")),
             glare: stream("glare").chance(config.camera.glare),
@@ -161,16 +171,40 @@ impl Spec {
     }
 
     /// How it was drawn, for the record.
-    pub(super) fn hand(&self, habits: &Habits) -> Vec<(&'static str, f64)> {
+    pub(super) fn hand(&self, habits: &Habits) -> Map<String, Value> {
         let [w, h] = self.stance.half;
-        vec![
-            ("aspect", w / h),
-            ("wobble", habits.wobble),
-            ("corner_error", habits.corner_error),
-            ("end_error", habits.end_error),
-            ("line_width", habits.line_width),
-            ("hatched", f64::from(u8::from(habits.hatched))),
-        ]
+        let tally = |t: Tally| (t.all > 0).then(|| json!([t.some, t.all]));
+        named([
+            ("aspect", number(w / h)),
+            ("wobble", number(habits.wobble)),
+            ("corner_error", number(habits.corner_error)),
+            ("end_error", number(habits.end_error)),
+            ("line_medium", Some(self.line_medium.name().into())),
+            ("line_width", number(habits.line_width)),
+            ("hatched", number(f64::from(u8::from(habits.hatched)))),
+            ("hatch_spacing", habits.hatch.and_then(|h| number(h[0]))),
+            ("hatch_deg", habits.hatch.and_then(|h| number(h[1]))),
+            ("outlined", habits.outlined.and_then(|o| number(f64::from(u8::from(o))))),
+            ("retraced", tally(habits.lines)),
+            ("gaps", tally(habits.strokes)),
+        ])
+    }
+
+    /// What was drawn for it from the config and cannot be read from the other keys of the record, or not in every case.
+    pub(super) fn asked(&self) -> Map<String, Value> {
+        let s = &self.stance;
+        named([
+            ("side_px", number(s.side_px)),
+            ("tilt_deg", number(s.tilt.to_degrees())),
+            ("azimuth_deg", number(s.azimuth.to_degrees())),
+            ("roll_deg", number(s.roll.to_degrees())),
+            ("cut", Some(s.may_be_cut.into())),
+            ("bent", self.surface.is_paper().then_some(self.bent.into())),
+            ("margin", self.sheet.margin.and_then(number)),
+            ("hue_deg", number(self.hue.0)),
+            ("hue", self.hue.1.map(Into::into)),
+            ("line_medium", Some(self.first_line_medium.name().into())),
+        ])
     }
 
     /// What covers it: the covered share of its quadrilateral, and an outline that covers everything on one side of a line.
@@ -210,6 +244,16 @@ impl Spec {
     }
 }
 
+/// A number of the record.
+fn number(v: f64) -> Option<Value> {
+    Some(rounded(v).into())
+}
+
+/// What there is, by name.
+fn named<const N: usize>(all: [(&str, Option<Value>); N]) -> Map<String, Value> {
+    all.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value?))).collect()
+}
+
 /// A quadrilateral scaled about the mean of its corners.
 fn grow(q: &Quad, by: f64) -> Quad {
     let middle: [f64; 2] = std::array::from_fn(|k| q.0.iter().map(|p| p[k]).sum::<f64>() / 4.0);
@@ -226,8 +270,17 @@ fn brightness_at(canvas: &Canvas, view: &View) -> f32 {
     color::luminance(canvas.mean(around(x, canvas.width), around(y, canvas.height)))
 }
 
+/// What a marker's colours are, and what was drawn on the way to them.
+struct Colors {
+    fill: Linear,
+    line: Linear,
+    hue: f64,
+    line_medium: Medium,
+    first_line_medium: Medium,
+}
+
 /// A saturated fill and lines that differ from it: dark, light, or of another hue.
-fn colors(config: &Config, medium: Medium, sheet: &Sheet, hue: Option<f64>, rng: &mut Rng) -> (Linear, Linear, Medium) {
+fn colors(config: &Config, medium: Medium, sheet: &Sheet, hue: Option<f64>, rng: &mut Rng) -> Colors {
     let nature = medium.nature();
     let paper = color::luminance(sheet.base);
     let any = rng.uniform(0.0, 360.0);
@@ -238,8 +291,10 @@ fn colors(config: &Config, medium: Medium, sheet: &Sheet, hue: Option<f64>, rng:
         // On a board only light colours show.
         fill = color::from_hsv(hue, rng.uniform(0.4, 0.9), rng.uniform(0.75, 1.0));
     }
+    let mut first = None;
     for _ in 0..16 {
         let line_medium = pick(&config.markers.line_media, Medium::FeltTip, rng);
+        let first_line_medium = *first.get_or_insert(line_medium);
         let pen = line_medium.nature();
         let turn = rng.uniform(70.0, 290.0);
         let line = match rng.index(4) {
@@ -251,9 +306,9 @@ fn colors(config: &Config, medium: Medium, sheet: &Sheet, hue: Option<f64>, rng:
         let seen: Linear = std::array::from_fn(|k| line[k] * pen.opacity + line[k] * fill[k] * (1.0 - pen.opacity));
         let distance: f32 = (0..3).map(|k| (libm::sqrtf(seen[k]) - libm::sqrtf(fill[k])).powi(2)).sum();
         if distance > 0.12 {
-            return (fill, line, line_medium);
+            return Colors { fill, line, hue, line_medium, first_line_medium };
         }
     }
     let line = if color::luminance(fill) > 0.18 { [0.01; 3] } else { [0.9; 3] };
-    (fill, line, Medium::Paint)
+    Colors { fill, line, hue, line_medium: Medium::Paint, first_line_medium: first.unwrap_or(Medium::Paint) }
 }

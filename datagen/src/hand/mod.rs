@@ -11,7 +11,7 @@ use crate::{
     stickers,
 };
 use image::RgbImage;
-use serde_json::json;
+use serde_json::{Map, Value, json};
 use tcross_dataset::{Confuser, Marker, Quad, Record, Rng, geom::quad};
 
 pub mod drawing;
@@ -45,24 +45,36 @@ pub fn draw(mut canvas: Canvas, config: &Config, seed: u64, index: u64, moment: 
     let wanted = config.markers.per_image.sample(&mut count).floor() as usize;
     let near_misses = config.confusers.near_misses.sample(&mut count).floor() as usize;
     let turn = moment.map(|m| m.sequence);
+    note(record, "markers", wanted.into());
+    note(record, "near_misses", near_misses.into());
     let specs: Vec<Spec> = (0..wanted + near_misses).map(|k| Spec::sample(config, k >= wanted, marker_seed(seed, item, k), turn)).collect();
 
-    let camera = sample_camera(config, &specs, stream("camera"));
+    if let Some(first) = specs.get(wanted) {
+        note(record, "near_miss", first.shape.name().into());
+    }
+
+    let (camera, field_of_view_deg) = sample_camera(config, &specs, stream("camera"));
+    note(record, "field_of_view_deg", rounded(field_of_view_deg).into());
     record.intrinsics = Some([camera.focal, camera.focal, camera.center[0], camera.center[1]]);
     if camera.k1 != 0.0 {
         record.distortion = Some([camera.k1, 0.0]);
     }
 
     let mut clutter = stream("stickers");
-    for _ in 0..config.confusers.stickers.sample(&mut clutter).floor() as usize {
+    let stickers = config.confusers.stickers.sample(&mut clutter).floor() as usize;
+    note(record, "stickers", stickers.into());
+    for _ in 0..stickers {
         stickers::paint(&mut canvas, &mut clutter);
     }
 
     let path = moment.zip(specs.first()).and_then(|(moment, spec)| {
-        record
-            .effects
-            .insert("video".into(), json!({ "sequence": moment.sequence, "frame": moment.frame, "time_s": rounded(moment.time_s) }));
-        Some((moment, Path::sample(&config.video, &spec.stance, camera, [width, height], &mut stream("path"))?))
+        let path = Path::sample(&config.video, &spec.stance, camera, [width, height], &mut stream("path"));
+        let mut video = json!({ "sequence": moment.sequence, "frame": moment.frame, "time_s": rounded(moment.time_s) });
+        for (key, value) in path.iter().flat_map(|p| p.drawn) {
+            video[key] = rounded(value).into();
+        }
+        record.effects.insert("video".into(), video);
+        Some((moment, path?))
     });
     let (mut taken, mut shown) = (Vec::new(), Vec::new());
     let motion = if let Some((moment, path)) = &path {
@@ -81,7 +93,9 @@ pub fn draw(mut canvas: Canvas, config: &Config, seed: u64, index: u64, moment: 
     };
     let light = PhotoLight::of(&canvas, &mut stream("light"), Rng::for_item(seed, "datagen/grain", index).bits());
     // No marker is sharper than the photo it stands in.
-    let softness = config.camera.softness_px.sample(&mut stream("softness")).max(f64::from(light.sharpness_px));
+    let least = config.camera.softness_px.sample(&mut stream("softness"));
+    let softness = least.max(f64::from(light.sharpness_px));
+    note(record, "softness_px", rounded(least).into());
     record.effects.insert("softness_px".into(), rounded(softness).into());
     record.effects.insert("light".into(), light.parameters());
     // Near misses first, so that none hides a marker.
@@ -113,13 +127,19 @@ fn marker_seed(seed: u64, index: u64, k: usize) -> u64 {
     Rng::for_item(seed, "datagen/marker", index * 64 + k as u64).bits() >> 11
 }
 
-fn sample_camera(config: &Config, specs: &[Spec], mut rng: Rng) -> Camera {
+/// Notes what was drawn from the config where the picture may have made something else of it.
+fn note(record: &mut Record, key: &str, value: Value) {
+    record.effects.entry("asked").or_insert_with(|| json!({}))[key] = value;
+}
+
+/// The camera, and the field of view that was drawn for it in degrees.
+fn sample_camera(config: &Config, specs: &[Spec], mut rng: Rng) -> (Camera, f64) {
     let (width, height) = (f64::from(config.width), f64::from(config.height));
-    let half_angle = config.camera.field_of_view_deg.sample(&mut rng).to_radians() / 2.0;
-    let focal = width / 2.0 / libm::tan(half_angle);
+    let drawn = config.camera.field_of_view_deg.sample(&mut rng);
+    let focal = width / 2.0 / libm::tan(drawn.to_radians() / 2.0);
     // A large, steep marker needs a longer lens to stand before the camera at all.
     let focal = specs.iter().map(|s| s.stance.least_focal()).fold(focal, f64::max);
-    Camera { focal, center: [width / 2.0, height / 2.0], k1: config.camera.distortion.sample(&mut rng) }
+    (Camera { focal, center: [width / 2.0, height / 2.0], k1: config.camera.distortion.sample(&mut rng) }, drawn)
 }
 
 /// One motion blur for the image.
@@ -162,7 +182,7 @@ struct Truth {
     covered: f64,
     glare: Option<([f32; 2], f32, f32)>,
     /// How the hand drew it, by name.
-    hand: Vec<(&'static str, f64)>,
+    hand: Map<String, Value>,
 }
 
 /// Draws one marker (or near miss) over the picture. `None` where nothing of it can be seen.
@@ -281,7 +301,8 @@ impl Truth {
         marker.occlusion = Some(rounded(self.covered));
         marker.blend = Some(spec.blend.name().into());
         marker.bend = Some([rounded(spec.stance.bend.0), rounded(spec.stance.bend.1.to_degrees())]).filter(|b| b[0] != 0.0);
-        marker.hand = self.hand.into_iter().map(|(key, v)| (key.to_owned(), rounded(v).into())).collect();
+        marker.hand = self.hand;
+        marker.asked = spec.asked();
         marker.glare = self.glare.map(|(at, radius, strength)| [at[0], at[1], radius, strength].map(|v| rounded(f64::from(v))));
         marker.rotation = Some(view.pose.rotation);
         marker.translation = Some(view.pose.translation);

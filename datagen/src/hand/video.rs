@@ -62,6 +62,8 @@ pub struct Path {
     wander: [Wave; 6],
     shake: [Wave; 3],
     exposure_s: f64,
+    /// What was drawn from the config, by its keys.
+    pub drawn: [(&'static str, f64); 4],
 }
 
 /// How far beyond the frame the background reaches.
@@ -73,20 +75,27 @@ impl Path {
     pub fn sample(config: &VideoConfig, stance: &Stance, camera: Camera, size: [f64; 2], rng: &mut Rng) -> Option<Self> {
         let (view, quad) = stance.view(&camera, camera.center)?;
         let depth = view.pose.translation[2];
-        let far = config.wander.sample(rng) * depth;
+        let wander = config.wander.sample(rng);
+        let far = wander * depth;
         let bounds = quad.bounds();
         let room = |size: f64, marker: f64| (size / 2.0 - 0.7 * marker).max(0.0) * 0.8;
-        let pace = config.pace_hz.sample(rng);
+        let pace_hz = config.pace_hz.sample(rng);
+        let roll = rng.uniform(5.0, 25.0).to_radians();
+        let tremor_deg = config.tremor_deg.sample(rng);
+        let waves = std::array::from_fn(|_| Wave::sample(pace_hz, rng));
+        let shake = std::array::from_fn(|_| Wave::sample(rng.uniform(3.0, 5.0), rng));
+        let exposure_ms = config.exposure_ms.sample(rng);
         Some(Self {
             camera,
             pose: view.pose,
             reach: [far, 0.7 * far, 0.5 * far],
             aim: [room(size[0], bounds.width()), room(size[1], bounds.height())],
-            roll: rng.uniform(5.0, 25.0).to_radians(),
-            tremor: config.tremor_deg.sample(rng).to_radians(),
-            wander: std::array::from_fn(|_| Wave::sample(pace, rng)),
-            shake: std::array::from_fn(|_| Wave::sample(rng.uniform(3.0, 5.0), rng)),
-            exposure_s: config.exposure_ms.sample(rng) / 1000.0,
+            roll,
+            tremor: tremor_deg.to_radians(),
+            wander: waves,
+            shake,
+            exposure_s: exposure_ms / 1000.0,
+            drawn: [("wander", wander), ("pace_hz", pace_hz), ("tremor_deg", tremor_deg), ("exposure_ms", exposure_ms)],
         })
     }
 

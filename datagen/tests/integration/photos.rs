@@ -54,6 +54,24 @@ fn a_photo_stands_in_one_split_only_and_bad_ones_are_named() {
     assert!(used.iter().flatten().any(|n| n.starts_with("deep/")));
 }
 
+/// A small photo is cut no smaller than the image, so that crops come out larger than they were drawn; the draws are judged.
+#[test]
+fn crops_of_photos_are_judged_as_drawn() {
+    let photos = tempfile::tempdir().unwrap();
+    (0..12).for_each(|k| photo(photos.path(), &format!("{k:02}.png"), k * 20));
+    let mut config = Config { images: 60, ..config() };
+    config.background.mirrored = 0.5;
+    let out = tempfile::tempdir().unwrap();
+    let options = GenerateOptions { out: out.path().to_owned(), seed: 1, ..Default::default() };
+    let backgrounds = Backgrounds::open(photos.path()).unwrap();
+    generate(&config, &backgrounds, &options, &AtomicBool::new(false), &mut |_| {}).unwrap();
+    let audit = tcross_datagen::audit::audit(out.path()).unwrap();
+    for key in ["background.crop", "background.mirrored", "jpeg_quality"] {
+        assert!(audit.fits.iter().any(|f| f.key == key && f.count == 60 && f.good), "{key}: {audit:#?}");
+    }
+    assert!(audit.unjudged.iter().any(|u| u.key == "background.scenes" && u.why == "the backgrounds are photographs"));
+}
+
 #[test]
 fn no_photo_is_an_error_that_says_where() {
     let photos = tempfile::tempdir().unwrap();

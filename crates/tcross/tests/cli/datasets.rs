@@ -123,6 +123,7 @@ fn a_dataset_is_audited() {
         audit.stdout,
         audit.stderr
     );
+    assert!(audit.stdout.contains("data.paper.at_sign_side = int 15..45: only the @ sign has it"), "{}", audit.stdout);
     assert!(std::fs::read_to_string(at("audit/correlations.svg")).unwrap().starts_with("<svg"));
     // What the description says is not what is there.
     let path = dir.path().join("set/dataset.toml");

@@ -22,7 +22,11 @@ pub fn run(dir: &Path, out: Option<&Path>) -> Outcome {
         return Err(Failure::new(format!("{}: too few images to judge; make at least 30, better 1000", dir.display())));
     }
     if audit.passed() {
-        console::note(&format!("{}: every distribution is as asked, and what should be independent is", dir.display()));
+        let rest = match audit.unjudged.len() {
+            0 => String::new(),
+            n => format!("; {n} could not be judged, for the reasons above"),
+        };
+        console::note(&format!("{}: every distribution is as asked, and what should be independent is{rest}", dir.display()));
         return Ok(());
     }
     let (bad, tied) = (audit.fits.iter().filter(|f| !f.good).count(), audit.pairs.iter().filter(|p| p.flagged).count());
@@ -41,6 +45,12 @@ fn table(audit: &Audit) -> String {
             "{:<20} {:>6} {:>10.4} {:>10.4} {:>9.2e}  {}{mark}",
             fit.name, fit.count, fit.mean, fit.statistic, fit.p, fit.asked
         );
+    }
+    if !audit.unjudged.is_empty() {
+        let _ = writeln!(text, "\nnot judged:");
+        for unjudged in &audit.unjudged {
+            let _ = writeln!(text, "  data.{} = {}: {}", unjudged.key, unjudged.asked, unjudged.why);
+        }
     }
     let names = audit.names();
     if names.len() > 1 {

@@ -184,7 +184,8 @@ pub fn hue_name(hex: &str) -> Option<&'static str> {
     Some(names.into_iter().find(|(end, _)| hue < *end).map_or("red", |(_, name)| name))
 }
 
-/// Sorts markers into classes; `None` where the factor applies to no marker, or is the same word for all.
+/// Sorts markers into classes; `None` where the factor applies to no marker, or is the same word or number for
+/// all and no classes were asked for.
 fn slice(
     key: &str,
     label: &str,
@@ -194,6 +195,7 @@ fn slice(
     evaluation: &Evaluation,
 ) -> Option<Slice> {
     let numbers: Vec<f64> = values.iter().flatten().filter_map(|v| if let Value::Number(n) = v { Some(*n) } else { None }).collect();
+    let asked_for = matches!(edges, Edges::Fixed(_));
     let edges = match edges {
         Edges::Fixed(edges) => edges,
         Edges::Found => found_edges(numbers),
@@ -208,8 +210,8 @@ fn slice(
         };
         groups.entry(class).or_default().push(k);
     }
-    let single_word = groups.len() == 1 && groups.keys().all(|(_, w)| !w.is_empty());
-    if groups.is_empty() || single_word {
+    let alike = groups.len() == 1 && groups.keys().all(|(_, word)| !(asked_for && word.is_empty()));
+    if groups.is_empty() || alike {
         return None;
     }
     let class = |((class, word), members): (&(usize, String), &Vec<usize>)| {

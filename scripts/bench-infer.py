@@ -1,15 +1,16 @@
 #!/usr/bin/env python3
-"""Times one image through T-cross, ONNX Runtime, OpenCV's Darknet importer and PyTorch, taking turns image by image in one run.
+"""Times one image through T-cross, ONNX Runtime, OpenCV's Darknet importer and PyTorch, taking turns in one run.
 
     cargo build --release -p tcross-yolo -p tcross --examples
     python3 scripts/bench-infer.py [--rounds 30] [--threads 2] [--only yolov3-tiny,0.25]
 
 Needs `pip install torch onnx onnxruntime "opencv-python-headless<5"`; a peer that is not installed is left out, with a line saying so.
 Networks and input are identical (416 x 416, 80 classes); every engine folds batch norm itself. OpenCV's time includes its box decoding,
-which cannot be taken out. Each contender has a process of its own and waits while another runs. Prints medians and the least time: on a
+which cannot be taken out. Each contender has a process of its own and waits while another runs; a turn is a short burst of images, as in a
+video. Prints medians and the least time: on a
 machine that does other work the least says more. T-cross's load is that of its own file: read, batch norm folded, weights arranged.
 """
-import argparse, glob, os, statistics, subprocess, sys, tempfile
+import argparse, glob, os, statistics, subprocess, sys, tempfile, time
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 ROOT = os.path.dirname(HERE)
@@ -17,7 +18,6 @@ CASES = [("yolov3-tiny", "tiny", 1.0), ("yolov3", "full", 0.25), ("yolov3", "ful
 
 
 def serve(run):
-    import time
     print("ready 0", flush=True)
     for line in sys.stdin:
         if line.strip() == "end":
@@ -85,6 +85,7 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--rounds", type=int, default=30)
     parser.add_argument("--threads", type=int, default=os.cpu_count())
+    parser.add_argument("--burst", type=int, default=6, help="images a turn, of which the first does not count")
     parser.add_argument("--only", help="architectures or widths, by commas")
     parser.add_argument("--peak", type=float, default=204.0, help="multiply-add peak of all threads, GFLOP/s")
     parser.add_argument("--worker", nargs=4)
@@ -108,7 +109,10 @@ def main():
                 c.step()
             for _ in range(args.rounds):
                 for c in contenders:
-                    c.times.append(c.step())
+                    # The threads of the peer before still spin for a while and hold the cores.
+                    time.sleep(0.2)
+                    c.step()
+                    c.times += [c.step() for _ in range(args.burst - 1)]
             mine = statistics.median(contenders[0].times)
             flops, load, read = map(float, contenders[0].words[1:4])
             print(f"{architecture} x {width}, {args.threads} threads: floor {flops / args.peak / 1e6:.1f} ms; "

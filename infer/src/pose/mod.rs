@@ -11,6 +11,7 @@ pub mod plane;
 pub mod quad;
 mod refusal;
 pub mod search;
+pub mod square;
 pub mod stroke;
 
 pub use refusal::Refusal;
@@ -47,7 +48,7 @@ pub struct Config {
 
 impl Default for Config {
     fn default() -> Self {
-        Self { method: Method::Model, padding: 0.22, min_side_px: 8.0, min_quality: 0.06 }
+        Self { method: Method::Model, padding: 0.22, min_side_px: 8.0, min_quality: 0.08 }
     }
 }
 

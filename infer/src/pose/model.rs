@@ -9,6 +9,7 @@ use super::{
     plane::{Line, Point, Weighted, along, distance, fit_line, norm, sub},
     quad,
     search::{self, Guess},
+    square,
 };
 use image::RgbImage;
 use tcross_dataset::{
@@ -206,12 +207,14 @@ struct Looked {
 struct View {
     bounds: PixelBox,
     borders: [bool; 4],
+    /// The picture's longer side.
+    size: f64,
 }
 
 impl View {
     fn new(picture: &Picture, bounds: PixelBox) -> Self {
         let (w, h) = (picture.width as f64, picture.height as f64);
-        Self { bounds, borders: [bounds.x_min < 1.0, bounds.y_min < 1.0, bounds.x_max > w - 1.0, bounds.y_max > h - 1.0] }
+        Self { size: w.max(h), bounds, borders: [bounds.x_min < 1.0, bounds.y_min < 1.0, bounds.x_max > w - 1.0, bounds.y_max > h - 1.0] }
     }
 }
 
@@ -365,11 +368,8 @@ fn together(corners: &[Point; 4], sides: &[Side; 4], arms: &Arms, map: &Homograp
         place[axis] = at - sign * ink * side_px;
         pulls[order[0]].push(Pull { at: place, normal, deviation: WALL * side_px + WALL_PX });
     }
-    let mut out = *corners;
-    for k in 0..4 {
-        out[k] = fit::corner(corners[k], &pulls[k])?;
-    }
-    Some(out)
+    let found: Vec<fit::Corner> = corners.iter().zip(&pulls).map(|(at, pulls)| fit::corner(*at, pulls)).collect::<Option<_>>()?;
+    Some(square::regular(found.try_into().ok()?, side_px, view.size))
 }
 
 /// What speaks for a T cross. The quality is the probability that logistic regression gives to these numbers.

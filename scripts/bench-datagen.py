@@ -6,14 +6,16 @@
     python3 scripts/bench-datagen.py --memory 500,2000,8000 --photos ../shared/backgrounds
 
 The peer's file offers `work((seed, count, photos, out))`, which makes `count` images; it runs in two processes, as T-cross runs on two
-threads. Both read the same photos. T-cross's time is that of the whole program: start, a look at every photo for near-duplicates, lists,
+threads. Both read the same photos, and every turn writes into a new folder. T-cross's time is that of the whole program: start, a look at every photo for near-duplicates, lists,
 digests. Without an idle machine compare ratios; "images per CPU second" counts the processors' time and is steadier. Memory is the most that
 was resident at once, as the kernel counts it; it needs neither a peer nor an idle machine.
 Needs `pip install "opencv-python-headless<5" numpy`.
 """
-import argparse, importlib.util, multiprocessing, os, pathlib, resource, shutil, statistics, subprocess, sys, tempfile, time
+import argparse, importlib.util, itertools, multiprocessing, os, pathlib, resource, shutil, statistics, subprocess, sys, tempfile, time
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
+# JPEG quality of the images that the peer writes.
+PEERS_QUALITY = 90
 
 
 def cpu():
@@ -34,8 +36,8 @@ def peer(path):
     return module
 
 
-def tcross(program, preset, photos, out, images, threads):
-    words = [program, "datagen", ROOT / f"configs/presets/{preset}.toml", "--out", out, "--images", images, "--threads", threads, "--quiet"]
+def tcross(program, preset, photos, out, images, threads, *more):
+    words = [program, "datagen", ROOT / f"configs/presets/{preset}.toml", "--out", out, "--images", images, "--threads", threads, "--quiet", *more]
     if photos:
         words += ["--backgrounds", photos]
     child = subprocess.Popen([str(w) for w in words])
@@ -77,9 +79,11 @@ def main():
     naive, n = peer(args.peer), args.images
     scratch = pathlib.Path(tempfile.mkdtemp())
 
+    turns = itertools.count()
+
     def run_peer():
-        out = scratch / "peer"
-        out.mkdir(exist_ok=True)
+        out = scratch / f"peer-{next(turns)}"
+        out.mkdir()
         share = [(k, n // args.threads, photos, str(out)) for k in range(args.threads)]
         workers = [multiprocessing.Process(target=naive.work, args=(part,)) for part in share]
         [w.start() for w in workers]
@@ -87,13 +91,13 @@ def main():
         if any(w.exitcode for w in workers):
             sys.exit("the peer failed")
 
-    def run_tcross(preset, with_photos):
-        shutil.rmtree(scratch / "ours", ignore_errors=True)
-        tcross(args.program, preset, args.photos if with_photos else None, scratch / "ours", n, args.threads)
+    def run_tcross(preset, with_photos, *more):
+        tcross(args.program, preset, args.photos if with_photos else None, scratch / f"ours-{next(turns)}", n, args.threads, *more)
 
     contenders = {
         "peer (OpenCV)": run_peer,
-        "paper-exact, photos": lambda: run_tcross("paper-exact", True),
+        "paper-exact, photos, quality 90": lambda: run_tcross("paper-exact", True, "--set", f"data.jpeg_quality={PEERS_QUALITY}"),
+        "paper-exact, photos, as it is": lambda: run_tcross("paper-exact", True),
         "hand-drawn, photos": lambda: run_tcross("hand-drawn", True),
         "hand-drawn, embedded scenes": lambda: run_tcross("hand-drawn", False),
     }

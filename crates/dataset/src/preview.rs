@@ -10,7 +10,7 @@ pub struct Sheet {
     pub images: usize,
     /// Pictures a row.
     pub columns: usize,
-    /// Side of a picture's square in pixels.
+    /// Longer side of a picture in pixels.
     pub tile_px: u32,
     /// Whether the truth is drawn.
     pub truth: bool,
@@ -35,13 +35,16 @@ pub fn contact_sheet(dataset: &Dataset, split: Split, sheet: &Sheet) -> Result<R
     let picked: Vec<&Record> = (0..shown).map(|k| &records[k * records.len() / shown]).collect();
     let tiles: Vec<RgbImage> = picked.par_iter().map(|r| tile(dataset, r, sheet)).collect::<Result<_, _>>()?;
     let columns = sheet.columns.clamp(1, shown);
-    let (step, gap) = (sheet.tile_px + 4, 4);
-    let (width, height) = (columns as u32 * step + gap, shown.div_ceil(columns) as u32 * step + gap);
+    // Rows and columns as high and wide as their largest picture.
+    let cell = tiles.iter().fold([1, 1], |[w, h], tile| [tile.width().max(w), tile.height().max(h)]);
+    let (step, gap) = (cell.map(|side| side + 4), 4);
+    let (width, height) = (columns as u32 * step[0] + gap, shown.div_ceil(columns) as u32 * step[1] + gap);
     let mut page = RgbImage::from_pixel(width, height, Rgb([255; 3]));
     for (k, tile) in tiles.iter().enumerate() {
-        let (x, y) = ((k % columns) as u32 * step + gap, (k / columns) as u32 * step + gap);
-        let center = |free: u32| i64::from((sheet.tile_px - free) / 2);
-        imageops::replace(&mut page, tile, i64::from(x) + center(tile.width()), i64::from(y) + center(tile.height()));
+        let (x, y) = ((k % columns) as u32 * step[0] + gap, (k / columns) as u32 * step[1] + gap);
+        let center = |of: u32, free: u32| i64::from((of - free) / 2);
+        let (dx, dy) = (center(cell[0], tile.width()), center(cell[1], tile.height()));
+        imageops::replace(&mut page, tile, i64::from(x) + dx, i64::from(y) + dy);
     }
     Ok(page)
 }
@@ -72,7 +75,10 @@ mod tests {
         let dataset = Dataset::open(out.path()).unwrap();
         let sheet = Sheet { images: 9, columns: 2, tile_px: 64, truth: true };
         let page = contact_sheet(&dataset, Split::Test, &sheet).unwrap();
-        assert_eq!(page.dimensions(), (2 * 68 + 4, 2 * 68 + 4));
+        let shown: Vec<RgbImage> = dataset.records(Split::Test).unwrap().iter().map(|r| tile(&dataset, r, &sheet).unwrap()).collect();
+        let most = |side: fn(&RgbImage) -> u32| shown.iter().map(side).max().unwrap();
+        // Three pictures in two columns.
+        assert_eq!(page.dimensions(), (2 * (most(RgbImage::width) + 4) + 4, 2 * (most(RgbImage::height) + 4) + 4));
         let plain = contact_sheet(&dataset, Split::Test, &Sheet { truth: false, ..sheet }).unwrap();
         assert_ne!(page, plain);
     }

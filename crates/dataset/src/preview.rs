@@ -79,6 +79,12 @@ mod tests {
         let most = |side: fn(&RgbImage) -> u32| shown.iter().map(side).max().unwrap();
         // Three pictures in two columns.
         assert_eq!(page.dimensions(), (2 * (most(RgbImage::width) + 4) + 4, 2 * (most(RgbImage::height) + 4) + 4));
+        // Flat pictures in flat rows.
+        for record in dataset.records(Split::Test).unwrap() {
+            RgbImage::from_pixel(80, 40, Rgb([90, 120, 30])).save(dataset.image_path(&record)).unwrap();
+        }
+        assert_eq!(contact_sheet(&dataset, Split::Test, &sheet).unwrap().dimensions(), (2 * (64 + 4) + 4, 2 * (32 + 4) + 4));
+        let page = contact_sheet(&dataset, Split::Test, &sheet).unwrap();
         let plain = contact_sheet(&dataset, Split::Test, &Sheet { truth: false, ..sheet }).unwrap();
         assert_ne!(page, plain);
     }

@@ -15,7 +15,8 @@ fn dataset(dir: &std::path::Path) {
         confusers: Vec::new(),
         intrinsics: None,
         distortion: None,
-        effects: serde_json::Map::new(),
+        // One that differs from image to image, and one that does not.
+        effects: [("noise_percent", k + 1), ("jpeg_quality", 90)].map(|(key, v)| (key.to_owned(), v.into())).into_iter().collect(),
     };
     let b = [10.0, 10.0, 30.0, 30.0];
     let records = [record(0, &[b]), record(1, &[b]), record(2, &[]), record(3, &[])];
@@ -69,6 +70,8 @@ fn writes_what_the_contract_names() {
         paper["min_side"].as_array().unwrap().iter().map(|s| (&s["min_side_px"], &s["markers"], &s["headline"]["fp"])).collect();
     assert_eq!(sides, [(&16.0.into(), &2.into(), &1.into()), (&24.0.into(), &0.into(), &0.into())]);
     assert!(metrics["coco"]["ap50"].as_f64().unwrap() > 0.3);
+    let slices: Vec<&str> = paper["slices"].as_array().unwrap().iter().filter_map(|s| s["key"].as_str()).collect();
+    assert!(slices.contains(&"noise_percent") && !slices.contains(&"jpeg_quality"), "{slices:?}");
     assert_eq!(paper["verdict"]["recall"], "below");
     assert_eq!(paper["chosen_on_validation"]["threshold"], 0.81);
 

@@ -19,6 +19,7 @@ pub mod dist;
 pub mod effects;
 pub mod error;
 pub mod hand;
+pub mod jpeg;
 pub mod manifest;
 pub mod media;
 pub mod noise;

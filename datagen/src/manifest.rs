@@ -70,8 +70,8 @@ impl BackgroundsEntry {
     }
 }
 
-/// Version of the drawing code; moves with every change of a pixel.
-pub const DRAWING: u32 = 3;
+/// Version of the code that draws and encodes; moves with every change of a byte of a picture.
+pub const DRAWING: u32 = 4;
 
 /// Equal where the bytes of the dataset are equal (of the photos, names, sizes and first 64 KiB are looked at).
 #[must_use]

@@ -4,6 +4,7 @@ use crate::{
     card,
     config::Config,
     error::DatagenError,
+    jpeg,
     manifest::{BackgroundsEntry, Manifest, fingerprint},
     sample::sample,
 };
@@ -216,13 +217,10 @@ fn prepare(out: &Path, identity: &str) -> Result<(), DatagenError> {
 fn make(config: &Config, backgrounds: &Backgrounds, options: &GenerateOptions, index: u64) -> Result<Finished, DatagenError> {
     let made = sample(config, backgrounds, options.seed, index)?;
     let path = options.out.join(&made.record.image);
-    let mut bytes = Vec::with_capacity(1 << 16);
-    let mut encoder = jpeg_encoder::Encoder::new(&mut bytes, made.quality);
-    // Colour at half resolution, OpenCV's and most cameras' way.
-    encoder.set_sampling_factor(jpeg_encoder::SamplingFactor::F_2_2);
-    encoder
-        .encode(made.image.as_raw(), made.image.width() as u16, made.image.height() as u16, jpeg_encoder::ColorType::Rgb)
-        .map_err(|e| DatagenError::Encode { path: path.clone(), message: e.to_string() })?;
+    let bytes = jpeg::encode(&made.image, made.quality).ok_or_else(|| DatagenError::Encode {
+        path: path.clone(),
+        message: format!("a JPEG file has 1 to {} pixels a side", jpeg::LARGEST),
+    })?;
     let digest = blake3::hash(&bytes);
     files::write_atomically(&path, bytes)?;
     let record = serde_json::to_string(&made.record).map_err(|e| DatasetError::line(&path, 0, e))?;

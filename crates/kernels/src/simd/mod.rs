@@ -9,6 +9,9 @@ pub(crate) mod avx2;
 #[cfg(target_arch = "x86_64")]
 pub(crate) mod avx512;
 pub(crate) mod portable;
+mod widest;
+
+pub use widest::{Portable, widest};
 
 /// A vector of `LANES` 32-bit floats and the few operations that the kernels need.
 ///

@@ -164,6 +164,9 @@ pub fn watch(
         !stop.load(Ordering::Relaxed)
     })?;
     drop(bar);
+    if let Some(damage) = &report.damage {
+        console::warn(&format!("{}: damaged, {} frames could be read: {damage}", input.name(), report.run.images));
+    }
     // A camera has no end of its own: stopping it is how it is finished.
     if report.run.stopped && !input.is_live() {
         return Err(Failure::Interrupted { kept: format!("{} frames are done", report.run.images) });

@@ -3,9 +3,9 @@ use crate::error::InferError;
 use image::RgbImage;
 use std::{
     ffi::OsStr,
-    io::{BufReader, ErrorKind, Read, Write},
+    io::{BufRead, BufReader, ErrorKind, Read, Write},
     path::{Path, PathBuf},
-    process::{Child, ChildStdin, ChildStdout, Command, Stdio},
+    process::{Child, ChildStderr, ChildStdin, ChildStdout, Command, Stdio},
     thread::JoinHandle,
 };
 
@@ -148,40 +148,78 @@ fn last_line(text: &str) -> Option<&str> {
     text.lines().map(str::trim).rfind(|l| !l.is_empty())
 }
 
-/// Decodes an input: an iterator over its frames, at a constant rate.
-pub struct Reader {
+/// A running program whose complaints are read as they come: a pipe that nobody empties would stop it. Killed where it is given up.
+struct Process {
     child: Child,
+    said: Option<JoinHandle<Option<String>>>,
+}
+
+impl Process {
+    fn listening(program: &str, command: &mut Command) -> Result<Self, InferError> {
+        let mut child = start(program, command.stderr(Stdio::piped()))?;
+        let said = child.stderr.take().map(|errors| std::thread::spawn(move || last_complaint(errors)));
+        Ok(Self { child, said })
+    }
+
+    /// Waits for its end: whether it succeeded, and the last line that it complained with.
+    fn end(&mut self) -> Result<(bool, Option<String>), InferError> {
+        let status = self.child.wait().map_err(|e| InferError::Video(format!("ffmpeg: {e}")))?;
+        Ok((status.success(), self.said.take().and_then(|s| s.join().ok()).flatten()))
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Reads to the end and keeps the last line that is not empty.
+fn last_complaint(errors: ChildStderr) -> Option<String> {
+    let (mut errors, mut line, mut last) = (BufReader::new(errors), Vec::new(), None);
+    while errors.read_until(b'\n', &mut line).is_ok_and(|n| n > 0) {
+        last = last_line(&String::from_utf8_lossy(&line)).map(str::to_owned).or(last);
+        line.clear();
+    }
+    last
+}
+
+/// Decodes an input: an iterator over its frames.
+pub struct Reader {
+    process: Process,
     frames: BufReader<ChildStdout>,
-    said: Option<JoinHandle<String>>,
     name: String,
     given: u64,
     ended: bool,
+    damage: Option<String>,
 }
 
 impl Reader {
-    /// Starts decoding. `rate` asks a file for that many frames a second, and a camera for that mode.
+    /// Starts decoding. `rate` asks a file for that many frames a second, and a camera for that mode; without it every frame comes once.
     ///
     /// # Errors
     /// If ffmpeg is absent.
     pub fn open(input: &Input, rate: Option<f64>) -> Result<Self, InferError> {
         let mut command = Command::new("ffmpeg");
         command.args(["-hide_banner", "-nostdin", "-loglevel", "error"]).args(input.arguments(rate)).arg("-an");
-        if let (Input::File(_), Some(rate)) = (input, rate) {
-            command.args(["-r", &rate.to_string()]);
-        }
+        match (input, rate) {
+            (Input::File(_), Some(rate)) => command.args(["-r", &rate.to_string()]),
+            // Times made even, of which the pictures tell nothing: at an uneven rate ffmpeg would repeat some frames and leave out others.
+            _ => command.args(["-vf", "settb=1/30,setpts=N", "-r", "30"]),
+        };
         // A PPM's header says how large each frame is, after the file's own rotation.
         command.args(["-f", "image2pipe", "-c:v", "ppm", "-pix_fmt", "rgb24", "-"]);
-        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        let mut child = start("ffmpeg", &mut command)?;
-        let missing = || InferError::Video("ffmpeg: no pipe".into());
-        let frames = BufReader::with_capacity(1 << 20, child.stdout.take().ok_or_else(missing)?);
-        let mut errors = child.stderr.take().ok_or_else(missing)?;
-        let said = std::thread::spawn(move || {
-            let mut text = String::new();
-            let _ = errors.read_to_string(&mut text);
-            text
-        });
-        Ok(Self { child, frames, said: Some(said), name: input.name(), given: 0, ended: false })
+        let mut process = Process::listening("ffmpeg", command.stdin(Stdio::null()).stdout(Stdio::piped()))?;
+        let pipe = process.child.stdout.take().ok_or_else(|| InferError::Video("ffmpeg: no pipe".into()))?;
+        let frames = BufReader::with_capacity(1 << 20, pipe);
+        Ok(Self { process, frames, name: input.name(), given: 0, ended: false, damage: None })
+    }
+
+    /// What ffmpeg complained of last, where frames came all the same: known after the last of them.
+    #[must_use]
+    pub fn damage(&self) -> Option<&str> {
+        self.damage.as_deref()
     }
 
     /// The next frame in the buffer of `used`, which is re-used where the size is the same; `None` after the last.
@@ -230,28 +268,19 @@ impl Reader {
     }
 
     fn finish(&mut self) -> Result<(), InferError> {
-        let status = self.child.wait().map_err(|e| InferError::Video(format!("ffmpeg: {e}")))?;
-        let said = self.said.take().and_then(|s| s.join().ok()).unwrap_or_default();
-        match (status.success(), last_line(&said)) {
-            (true, _) if self.given > 0 => Ok(()),
-            // A damaged end is common; what was decoded counts.
-            (false, _) if self.given > 0 => Ok(()),
-            (_, Some(line)) => Err(InferError::Video(format!("{}: {line}", self.name))),
-            _ => Err(InferError::Video(format!("{}: no frame in it", self.name))),
+        let (succeeded, said) = self.process.end()?;
+        if self.given == 0 {
+            return Err(InferError::Video(format!("{}: {}", self.name, said.as_deref().unwrap_or("no frame in it"))));
         }
-    }
-}
-
-impl Drop for Reader {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        // A damaged end is common; what was decoded counts.
+        self.damage = said.or_else(|| (!succeeded).then(|| "ffmpeg failed".into()));
+        Ok(())
     }
 }
 
 /// Encodes frames of one size into a file, first under a temporary name.
 pub struct Writer {
-    child: Child,
+    process: Process,
     pipe: Option<ChildStdin>,
     partial: PathBuf,
     path: PathBuf,
@@ -274,11 +303,10 @@ impl Writer {
             .args(["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p"])
             .arg(&partial)
             .stdin(Stdio::piped())
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped());
-        let mut child = start("ffmpeg", &mut command)?;
-        let pipe = child.stdin.take();
-        Ok(Self { child, pipe, partial, path: path.to_owned(), size: (width, height) })
+            .stdout(Stdio::null());
+        let mut process = Process::listening("ffmpeg", &mut command)?;
+        let pipe = process.child.stdin.take();
+        Ok(Self { process, pipe, partial, path: path.to_owned(), size: (width, height) })
     }
 
     /// Adds a frame; one of another size is left out.
@@ -291,18 +319,16 @@ impl Writer {
         }
         match self.pipe.as_mut().map(|p| p.write_all(frame.as_raw())) {
             Some(Ok(())) => Ok(()),
-            _ => Err(self.failure()),
+            _ => {
+                drop(self.pipe.take());
+                let (_, said) = self.process.end()?;
+                Err(self.failure(said.as_deref()))
+            }
         }
     }
 
-    fn failure(&mut self) -> InferError {
-        drop(self.pipe.take());
-        let mut said = String::new();
-        if let Some(mut errors) = self.child.stderr.take() {
-            let _ = errors.read_to_string(&mut said);
-        }
-        let _ = self.child.wait();
-        InferError::Video(format!("{}: ffmpeg: {}", self.path.display(), last_line(&said).unwrap_or("stopped")))
+    fn failure(&self, said: Option<&str>) -> InferError {
+        InferError::Video(format!("{}: ffmpeg: {}", self.path.display(), said.unwrap_or("stopped")))
     }
 
     /// Ends the file and gives it its name.
@@ -311,9 +337,9 @@ impl Writer {
     /// If ffmpeg failed or the file cannot be renamed.
     pub fn finish(mut self) -> Result<(), InferError> {
         drop(self.pipe.take());
-        match self.child.wait() {
-            Ok(status) if status.success() => std::fs::rename(&self.partial, &self.path).map_err(|e| InferError::io(&self.path, e)),
-            _ => Err(self.failure()),
+        match self.process.end()? {
+            (true, _) => std::fs::rename(&self.partial, &self.path).map_err(|e| InferError::io(&self.path, e)),
+            (false, said) => Err(self.failure(said.as_deref())),
         }
     }
 }
@@ -338,5 +364,47 @@ mod tests {
         assert_eq!(ratio("30/1"), Some(30.0));
         assert!((ratio("30000/1001").unwrap() - 29.97).abs() < 0.01);
         assert_eq!((ratio("0/0"), ratio("x"), ratio("1/0")), (None, None, None));
+    }
+
+    /// Runs ffmpeg on `arguments`; false where there is none, and nothing to test with.
+    fn ffmpeg(arguments: &[&str]) -> bool {
+        let run = Command::new("ffmpeg").args(["-loglevel", "error", "-y"]).args(arguments).status();
+        run.is_ok_and(|status| status.success())
+    }
+
+    /// Frames that a file gives, and what it is said to suffer from.
+    fn read(path: &Path) -> (u64, Option<String>) {
+        let mut reader = Reader::open(&Input::File(path.into()), None).unwrap();
+        while let Some(frame) = reader.next(None).unwrap() {
+            assert_eq!(frame.dimensions(), (64, 48));
+        }
+        (reader.given, reader.damage().map(str::to_owned))
+    }
+
+    #[test]
+    fn every_frame_comes_once_at_an_uneven_rate_and_damage_is_told() {
+        let dir = tempfile::tempdir().unwrap();
+        let (whole, broken) = (dir.path().join("whole.mkv"), dir.path().join("broken.mkv"));
+        let uneven = "setpts='if(lt(N,5),N,4*N)/30/TB'";
+        let source = ["-f", "lavfi", "-i", "testsrc=size=64x48:rate=30", "-frames:v", "12", "-vf", uneven, "-c:v", "mpeg4", "-g", "1"];
+        if !ffmpeg(&[&source[..], &[&whole.to_string_lossy()]].concat()) {
+            return;
+        }
+        assert_eq!(read(&whole), (12, None));
+        let bytes = std::fs::read(&whole).unwrap();
+        std::fs::write(&broken, &bytes[..bytes.len() / 2]).unwrap();
+        let (frames, damage) = read(&broken);
+        assert!((1..12).contains(&frames) && damage.is_some(), "{frames} {damage:?}");
+    }
+
+    /// A program that complains more than a pipe holds before it reads anything.
+    #[cfg(unix)]
+    #[test]
+    fn complaints_do_not_stop_a_program() {
+        let mut command = Command::new("sh");
+        command.args(["-c", "for i in $(seq 20000); do echo complaint $i >&2; done; cat >/dev/null"]).stdin(Stdio::piped());
+        let mut process = Process::listening("sh", &mut command).unwrap();
+        process.child.stdin.take().unwrap().write_all(&vec![0; 1 << 20]).unwrap();
+        assert_eq!(process.end().unwrap(), (true, Some("complaint 20000".into())));
     }
 }

@@ -49,6 +49,8 @@ pub struct VideoReport {
     pub latency: Times,
     /// Drawing and encoding a frame.
     pub draw: Times,
+    /// What is wrong with the input, of which some frames could be read all the same.
+    pub damage: Option<String>,
 }
 
 impl VideoReport {
@@ -95,8 +97,8 @@ pub fn run(
     }
     let (own_rate, frames) = ffmpeg::probe(input)?;
     let of = if rate.is_none() { frames.unwrap_or(0) as usize } else { 0 };
+    let mut reader = ffmpeg::Reader::open(input, rate)?;
     let rate = rate.unwrap_or(own_rate);
-    let mut reader = ffmpeg::Reader::open(input, Some(rate))?;
     let mut sink = options.out.as_deref().map(Sink::create).transpose()?;
     let replacement = options.replace.as_ref().map(|p| read_image(p)).transpose()?;
     let path = options.overlay.as_ref().map(|dir| annotated(dir, input));
@@ -167,7 +169,7 @@ pub fn run(
         looked?;
         let panicked = |what: &str| InferError::Video(format!("{what} broke down"));
         if !report.run.stopped {
-            decoded.map_err(|_| panicked("decoding"))??;
+            report.damage = decoded.map_err(|_| panicked("decoding"))??;
         }
         if let Some(drawn) = drawn {
             report.draw = drawn.map_err(|_| panicked("drawing"))??;
@@ -187,7 +189,7 @@ fn annotated(dir: &Path, input: &Input) -> PathBuf {
     dir.join(format!("{}.mp4", input.stem()))
 }
 
-/// Hands frames over until there are no more or nobody wants them.
+/// Hands frames over until there are no more or nobody wants them; tells what the input suffers from.
 fn decode(
     reader: &mut ffmpeg::Reader,
     live: bool,
@@ -195,7 +197,7 @@ fn decode(
     used: &Receiver<RgbImage>,
     dropped: &AtomicU64,
     stop: &AtomicBool,
-) -> Result<(), InferError> {
+) -> Result<Option<String>, InferError> {
     let mut spare = None;
     for index in 0.. {
         let start = Instant::now();
@@ -217,7 +219,7 @@ fn decode(
             break;
         }
     }
-    Ok(())
+    Ok(reader.damage().map(str::to_owned))
 }
 
 /// Draws and encodes until the last frame; the first frame gives the video's size.

@@ -21,14 +21,14 @@ use tcross_infer::{
 
 const HELP: &str = "pose_study DATASET [--out DIR] [--method model|paper|both] [--jitter SHARE] [--threads N] [--min-quality Q]
 pose_study --empty N --photos DIR [--method model|paper|both]
-pose_study DATASET --fit N --photos DIR [--dump FILE]
+pose_study DATASET... --fit N --photos DIR [--dump FILE]
 
 DATASET: a dataset's folder; all its splits are used. --out writes truth.jsonl and a detections file a method, for
 `tcross eval DIR/truth.jsonl DIR/model.jsonl DIR/paper.jsonl --protocol pose --out DIR/eval`, which draws the curves.
 Below the marks stands what other values of min_quality, from Q on, would give.
 --jitter moves each side of a box by up to that share of its length. Times are good for something with --threads 1, the default.
 --empty: N boxes of 24 to 400 px on photos without a marker.
---fit: the quality's weights, by logistic regression of right poses of the dataset against all else and against N empty boxes;
+--fit: the quality's weights, by logistic regression of right poses of the datasets against all else and against N empty boxes;
 --dump keeps what was seen of each.";
 
 type Failed = Box<dyn std::error::Error + Send + Sync>;
@@ -43,8 +43,9 @@ fn main() -> Result<(), Failed> {
         _ => vec![Method::Model, Method::Paper],
     };
     rayon::ThreadPoolBuilder::new().num_threads(number("--threads", 1.0)? as usize).build_global()?;
-    if let (Some(dataset), Some(photos), Some(_)) = (args.first(), value("--photos"), value("--fit")) {
-        return fit(Path::new(dataset), Path::new(&photos), number("--fit", 2000.0)? as u64, value("--dump"));
+    if let (Some(photos), Some(_)) = (value("--photos"), value("--fit")) {
+        let datasets: Vec<&Path> = args.iter().take_while(|a| !a.starts_with("--")).map(Path::new).collect();
+        return fit(&datasets, Path::new(&photos), number("--fit", 2000.0)? as u64, value("--dump"));
     }
     if let Some(photos) = value("--photos") {
         return empty(Path::new(&photos), number("--empty", 2000.0)? as u64, &methods);
@@ -204,8 +205,8 @@ fn empty(photos: &Path, boxes: u64, methods: &[Method]) -> Result<(), Failed> {
 /// What was seen of a quadrilateral, and whether it is right.
 type Row = ([f64; FEATURES.len()], bool, String);
 
-/// Fits the quality: right poses (centre within 6 %, corners within 10 %) against wrong ones and empty boxes.
-fn fit(dir: &Path, photos: &Path, boxes: u64, dump: Option<String>) -> Result<(), Failed> {
+/// Everything considered for the markers of a dataset.
+fn considered(dir: &Path) -> Result<Vec<Row>, Failed> {
     let config = configured(Method::Model);
     let dataset = Dataset::open(dir)?;
     let markers: Vec<Vec<Row>> = records(dir, &dataset)?
@@ -239,6 +240,16 @@ fn fit(dir: &Path, photos: &Path, boxes: u64, dump: Option<String>) -> Result<()
             Ok(rows)
         })
         .collect::<Result<_, Failed>>()?;
+    Ok(markers.into_iter().flatten().collect())
+}
+
+/// Fits the quality: right poses (centre within 6 %, corners within 10 %) against wrong ones and empty boxes.
+fn fit(datasets: &[&Path], photos: &Path, boxes: u64, dump: Option<String>) -> Result<(), Failed> {
+    let mut rows: Vec<Row> = Vec::new();
+    for dir in datasets {
+        rows.extend(considered(dir)?);
+    }
+    let config = configured(Method::Model);
     let patches = on_photos(photos, boxes, "study/fit-empty", |image, b| {
         let row = |seen: pose::model::Considered| {
             let text = format!("{{\"image\": \"\", \"right\": false, \"features\": {:?}}}\n", seen.evidence.features);
@@ -246,7 +257,7 @@ fn fit(dir: &Path, photos: &Path, boxes: u64, dump: Option<String>) -> Result<()
         };
         pose::model::considered(image, b, &config).into_iter().map(row).collect::<Vec<_>>()
     })?;
-    let rows: Vec<Row> = markers.into_iter().flatten().chain(patches.into_iter().flatten()).collect();
+    rows.extend(patches.into_iter().flatten());
     if let Some(path) = dump {
         std::fs::write(path, rows.iter().map(|r| r.2.as_str()).collect::<String>())?;
     }

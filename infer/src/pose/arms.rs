@@ -5,7 +5,7 @@
 //! each is followed along the bow that shows it best.
 use super::{
     crop::{Colour, Picture},
-    plane::Point,
+    plane::{Point, distance, sub},
     stroke::Stroke,
 };
 use nalgebra::{Matrix3, Vector3};
@@ -60,6 +60,9 @@ pub struct Arms {
     pub ends: [Option<f64>; 4],
     /// Where the lines meet, in the unit square, and its variances along the stem and across it.
     pub meeting: Point,
+    /// How far from the middle of the quadrilateral the lines meet if nothing is known of where they should, in sides: far where a part of
+    /// the marker is taken for the whole.
+    pub beside: f64,
     /// Deviation of the measured points from smooth strokes, in sides.
     pub wobble: f64,
 }
@@ -307,7 +310,7 @@ pub fn read(picture: &Picture, map: &Homography) -> Option<Arms> {
         places[k].extend((0..STATIONS).filter_map(|i| Some((share(i), lanes[k].place(i, lanes[k].mean.max(0.3 * scale))?))));
     }
     let stem = (without + 2) % 4;
-    let strokes = Strokes::fit(&places, stem);
+    let (strokes, free) = (Strokes::fit(&places, stem, &STROKE), Strokes::fit(&places, stem, &FREE));
     Some(Arms {
         presence: std::array::from_fn(|k| f64::from(lanes[k].mean / scale)),
         stem,
@@ -319,8 +322,9 @@ pub fn read(picture: &Picture, map: &Homography) -> Option<Arms> {
         shown: places.iter().map(Vec::len).sum(),
         seen: bands.iter().map(|b| b.seen.iter().filter(|s| **s).count()).min().unwrap_or(0),
         lead: f64::from((value - next) / scale),
-        ends: strokes.ends(&places, stem),
-        meeting: strokes.meeting(stem),
+        ends: std::array::from_fn(|k| free.off(k, 1.0)),
+        meeting: strokes.meeting(),
+        beside: distance(free.meeting(), [0.5, 0.5]),
         wobble: strokes.wobble(),
     })
 }
@@ -334,33 +338,33 @@ const FREE: [f64; 5] = [0.05, 0.05, 0.020, 0.010, 0.006];
 
 /// The two lines of a T cross as smooth curves: the whole diagonal, from the corner left of the stem to the one right of it, and the stem.
 struct Strokes {
+    stem: usize,
     whole: Option<Stroke>,
     short: Option<Stroke>,
 }
 
 impl Strokes {
-    /// Places `(share, across)` along the whole diagonal; to the right of one half is left of the other.
-    fn whole(places: &[Vec<(f64, f64)>; 4], stem: usize) -> impl Iterator<Item = (f64, f64)> + Clone {
+    /// Fits places `(share, across)` of each half diagonal; to the right of one half is left of the other.
+    fn fit(places: &[Vec<(f64, f64)>; 4], stem: usize, prior: &[f64; 5]) -> Self {
         let (right, left) = ((stem + 1) % 4, (stem + 3) % 4);
-        places[left].iter().map(|(r, s)| (0.5 - 0.5 * r, -s)).chain(places[right].iter().map(|(r, s)| (0.5 + 0.5 * r, *s)))
+        let whole = places[left].iter().map(|(r, s)| (0.5 - 0.5 * r, -s)).chain(places[right].iter().map(|(r, s)| (0.5 + 0.5 * r, *s)));
+        Self { stem, whole: Stroke::fit(whole, PLACE, prior), short: Stroke::fit(places[stem].iter().copied(), PLACE, prior) }
     }
 
-    fn fit(places: &[Vec<(f64, f64)>; 4], stem: usize) -> Self {
-        Self {
-            whole: Stroke::fit(Self::whole(places, stem), PLACE, &STROKE),
-            short: Stroke::fit(places[stem].iter().copied(), PLACE, &STROKE),
+    /// How far to the right of half diagonal `k`, as seen from the centre, its line runs at share `r` of it, in sides; `None` on the half
+    /// diagonal without.
+    fn off(&self, k: usize, r: f64) -> Option<f64> {
+        match (k + 4 - self.stem) % 4 {
+            0 => self.short.as_ref().map(|s| s.at(r)),
+            1 => self.whole.as_ref().map(|s| s.at(0.5 + 0.5 * r)),
+            3 => self.whole.as_ref().map(|s| -s.at(0.5 - 0.5 * r)),
+            _ => None,
         }
     }
 
     /// Where they meet in the unit square.
-    fn meeting(&self, stem: usize) -> Point {
-        let at = |stroke: &Option<Stroke>, t: f64| stroke.as_ref().map_or(0.0, |s| s.at(t));
-        // To the right of the way towards a corner.
-        let side = |k: usize, s: f64| {
-            let [x, y] = station(k, 0.0, s);
-            [x - 0.5, y - 0.5]
-        };
-        let (a, b) = (side((stem + 1) % 4, at(&self.whole, 0.5)), side(stem, at(&self.short, 0.0)));
+    fn meeting(&self) -> Point {
+        let [a, b] = [(self.stem + 1) % 4, self.stem].map(|k| sub(station(k, 0.0, self.off(k, 0.0).unwrap_or(0.0)), [0.5, 0.5]));
         [0.5 + a[0] + b[0], 0.5 + a[1] + b[1]]
     }
 
@@ -368,18 +372,6 @@ impl Strokes {
     fn wobble(&self) -> f64 {
         let squared = |stroke: &Option<Stroke>| stroke.as_ref().map_or(0.0, |s| s.wobble * s.wobble);
         ((2.0 * squared(&self.whole) + squared(&self.short)) / 3.0).sqrt()
-    }
-
-    /// Where the lines end beside their corners.
-    fn ends(&self, places: &[Vec<(f64, f64)>; 4], stem: usize) -> [Option<f64>; 4] {
-        let mut ends = [None; 4];
-        let (right, left) = ((stem + 1) % 4, (stem + 3) % 4);
-        if let Some(whole) = Stroke::fit(Self::whole(places, stem), PLACE, &FREE) {
-            ends[right] = Some(whole.at(1.0));
-            ends[left] = Some(-whole.at(0.0));
-        }
-        ends[stem] = Stroke::fit(places[stem].iter().copied(), PLACE, &FREE).map(|s| s.at(1.0));
-        ends
     }
 }
 
@@ -405,14 +397,14 @@ mod tests {
             places[3].push((r, bow(0.5 - 0.5 * r)));
             places[0].push((r, 0.0));
         }
-        let strokes = Strokes::fit(&places, 0);
-        let ([x, y], wobble) = (strokes.meeting(0), strokes.wobble());
+        let strokes = Strokes::fit(&places, 0, &STROKE);
+        let ([x, y], wobble) = (strokes.meeting(), strokes.wobble());
         let want = 0.5 - 0.02 / std::f64::consts::SQRT_2;
         assert!((x - want).abs() < 0.003 && (y - want).abs() < 0.003, "{x} {y}, not {want}");
         assert!(wobble < 0.003, "{wobble}");
-        for off in strokes.ends(&places, 0).into_iter().flatten() {
-            assert!(off.abs() < 0.008, "{off}");
-        }
+        let free = Strokes::fit(&places, 0, &FREE);
+        assert!((0..4).filter_map(|k| free.off(k, 1.0)).all(|off| off.abs() < 0.008));
+        assert_eq!((0..4).map(|k| free.off(k, 1.0).is_some()).collect::<Vec<_>>(), [true, true, false, true]);
     }
 
     #[test]

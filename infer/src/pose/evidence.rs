@@ -24,6 +24,9 @@ const BESIDE: f64 = 0.15;
 const FIRST_ON_ARM: f64 = 0.2225;
 const LAST_ON_ARM: f64 = 0.8175;
 
+/// Stations of [`Maps::deep`] lie so far from a side, as a share of the way to the centre.
+const DEEP: f64 = 0.45;
+
 /// The coarse view's maps.
 pub struct Maps<'a> {
     view: &'a Coarse,
@@ -234,6 +237,18 @@ impl<'a> Maps<'a> {
             longest(&mut (0..w).map(|x| (x, h - 1))),
         ];
         (0..4).filter(|k| borders[*k]).map(|k| runs[k]).max().unwrap_or(0)
+    }
+
+    /// How much like marker it looks well inside the side where it does so least, in log odds: what the sides'
+    /// odds are to be measured by.
+    #[must_use]
+    pub fn deep(&self, corners: &[Point; 4]) -> f32 {
+        let Some(center) = Quad(*corners).diagonal_crossing() else { return 0.0 };
+        let inside = |k: usize| -> f32 {
+            let [from, to] = [0.2, 0.8].map(|t| between(on_side(corners, k, t), center, DEEP));
+            row(from, to).map(|p| self.odds_near(p)).sum()
+        };
+        (0..4).map(inside).fold(f32::MAX, f32::min) / STATIONS as f32
     }
 
     /// How well a convex quadrilateral in cells, clockwise as seen, explains the maps; `None` for one without a middle.

@@ -48,7 +48,7 @@ pub struct Config {
 
 impl Default for Config {
     fn default() -> Self {
-        Self { method: Method::Model, padding: 0.22, min_side_px: 8.0, min_quality: 0.08 }
+        Self { method: Method::Model, padding: 0.22, min_side_px: 8.0, min_quality: 0.03 }
     }
 }
 

@@ -40,7 +40,7 @@ pub fn recover(image: &RgbImage, bounds: &PixelBox, config: &Config) -> Result<P
     let mut rival: Option<Answer> = None;
     let mut refusal = Refusal::NoOutline;
     for (settled, enough) in candidates(&coarse, &view).zip(ENOUGH) {
-        if settled.cut {
+        if settled.at_border {
             refusal = Refusal::CutByBorder;
         }
         let answer = match look(&picture, &settled, &view).and_then(|looked| Answer::of(&looked, config.min_quality)) {
@@ -63,7 +63,7 @@ pub fn recover(image: &RgbImage, bounds: &PixelBox, config: &Config) -> Result<P
         }
     }
     let Some(best) = best else { return Err(refusal) };
-    if best.cut {
+    if best.cut || best.at_border && best.pose.quality < SURE_AT_BORDER {
         return Err(Refusal::CutByBorder);
     }
     if rival.is_some_and(|r| best.logit - r.logit < CLOSE && turned(&best.pose, &r.pose)) {
@@ -77,14 +77,18 @@ struct Answer {
     pose: Pose,
     logit: f64,
     cut: bool,
+    at_border: bool,
 }
 
 impl Answer {
     fn of(looked: &Looked, min_quality: f64) -> Result<Self, Refusal> {
         looked.evidence.check(min_quality)?;
-        Ok(Self { pose: pose(looked)?, logit: looked.evidence.logit(), cut: looked.cut })
+        Ok(Self { pose: pose(looked)?, logit: looked.evidence.logit(), cut: looked.cut, at_border: looked.at_border })
     }
 }
+
+/// Least quality of what runs along the picture's border: what is left of a marker cut there may look whole.
+const SURE_AT_BORDER: f64 = 0.9;
 
 /// Quadrilaterals whose log odds differ by less are equally good.
 const CLOSE: f64 = 1.0;
@@ -121,8 +125,10 @@ pub fn considered(image: &RgbImage, bounds: &PixelBox, config: &Config) -> Vec<C
 struct Settled {
     corners: [Point; 4],
     score: Score,
-    /// Whether its fill runs along the picture's border.
-    cut: bool,
+    /// How much like marker it looks inside where it does so least, in log odds.
+    deep: f32,
+    /// Whether its fill runs along the picture's border, so that it may be cut there.
+    at_border: bool,
 }
 
 /// Quadrilaterals for a box, best first, each settled as it is asked for.
@@ -162,13 +168,13 @@ fn candidates<'a>(coarse: &'a Coarse, view: &View) -> impl Iterator<Item = Settl
             }
         }
         score = maps.score(&corners).unwrap_or(score);
-        let cut = maps.run_along(borders) as f64 > MOST_AT_BORDER * Quad(corners).side_px();
+        let at_border = maps.run_along(borders) as f64 > MOST_AT_BORDER * Quad(corners).side_px();
         followed.push(corners);
-        Some(Settled { corners: corners.map(|p| coarse.to_source(p)), score, cut })
+        Some(Settled { corners: corners.map(|p| coarse.to_source(p)), score, deep: maps.deep(&corners), at_border })
     })
 }
 
-/// A corner that touches the picture's border does so with little; with more than so many sides of fill along it the marker is cut.
+/// A corner that touches the picture's border does so with little; with more than so many sides of fill along it the marker may be cut.
 const MOST_AT_BORDER: f64 = 0.60;
 
 /// A settled quadrilateral's overlap with the box may fall by so much.
@@ -200,7 +206,10 @@ struct Looked {
     arms: Arms,
     map: Homography,
     evidence: Evidence,
+    /// Whether a corner lies beyond the picture.
     cut: bool,
+    /// As [`Settled::at_border`].
+    at_border: bool,
 }
 
 /// The box inside the picture, and which of the picture's borders (left, upper, right, lower) it touches.
@@ -234,10 +243,10 @@ fn look(picture: &Picture, settled: &Settled, view: &View) -> Result<Looked, Ref
     let arms = arms::read(picture, &map).ok_or(Refusal::NoCross)?;
     let corners = together(&outlined, &sides, &arms, &map, view).filter(quad::is_sound).ok_or(Refusal::NoOutline)?;
     let beyond = 1.5 + 0.03 * side_px;
-    let cut = settled.cut || corners.iter().any(|c| !picture.holds(*c, -beyond));
+    let cut = corners.iter().any(|c| !picture.holds(*c, -beyond));
     let agreement = iou(&Quad(corners).bounds(), &view.bounds);
     let evidence = Evidence::of(&corners, &arms, settled, agreement, &sides);
-    Ok(Looked { corners, arms, map, evidence, cut })
+    Ok(Looked { corners, arms, map, evidence, cut, at_border: settled.at_border })
 }
 
 /// A settled quadrilateral may reach beyond the box by so many sides; what reaches farther has run away to the border of a sheet.
@@ -384,7 +393,7 @@ pub struct Evidence {
 }
 
 /// Names of the evidence, in order.
-pub const FEATURES: [&str; 15] = [
+pub const FEATURES: [&str; 19] = [
     "weakest side's log odds",
     "all sides' log odds",
     "cross in the coarse view",
@@ -400,6 +409,10 @@ pub const FEATURES: [&str; 15] = [
     "perspective",
     "the coarse view's stem is the same",
     "lead over the next stem",
+    "lines meeting beside the middle",
+    "fill deep inside",
+    "weakest line, if faint",
+    "cosine of the tilt",
 ];
 
 impl Evidence {
@@ -408,6 +421,7 @@ impl Evidence {
         presence.sort_by(f64::total_cmp);
         let ragged = sides.iter().map(|s| s.ragged).sum::<f64>() / 4.0;
         let sides = settled.score.sides.map(f64::from);
+        let line = ((presence[1] * arms.strength).max(1e-3) / (arms.noise + 0.1)).ln().clamp(-3.0, 3.0);
         Self {
             contrast: arms.contrast,
             seen: arms.seen,
@@ -415,7 +429,7 @@ impl Evidence {
                 sides.iter().copied().fold(f64::MAX, f64::min),
                 sides.iter().sum::<f64>() / 4.0,
                 f64::from(settled.score.cross).clamp(-1.0, 2.0),
-                ((presence[1] * arms.strength).max(1e-3) / (arms.noise + 0.1)).ln().clamp(-3.0, 3.0),
+                line,
                 (presence[1] - presence[0].max(-0.3)).min(1.5),
                 arms.separation.clamp(-2.0, 8.0).max(0.0).sqrt(),
                 arms.likeness.max(0.0),
@@ -427,6 +441,10 @@ impl Evidence {
                 perspective(corners).min(1.5),
                 f64::from(u8::from(settled.score.stem == arms.stem)),
                 arms.lead.clamp(0.0, 1.5),
+                (arms.beside / 0.05).min(3.0).powi(2),
+                f64::from(settled.deep),
+                line.min(1.0),
+                square::cos_tilt(corners),
             ],
         }
     }
@@ -476,9 +494,12 @@ fn perspective(c: &[Point; 4]) -> f64 {
     (0..2).map(|k| (length(k) / length(k + 2)).ln().abs()).fold(0.0, f64::max)
 }
 
-/// Bias and weights of [`FEATURES`], by `pose_study --fit` on drawn markers and photo patches.
-const WEIGHTS: [f64; FEATURES.len() + 1] =
-    [-5.919, 1.525, 0.056, -0.387, 1.122, -1.305, 0.063, -0.997, 0.325, -2.120, 4.605, 3.048, -1.403, -8.771, -0.339, 0.314];
+/// Bias and weights of [`FEATURES`], by `pose_study --fit` on drawn markers that are whole, hidden in part and cut by the border, and on photo
+/// patches. Without the hidden ones a clear outline would decide nearly alone, and what is left of a hidden marker has one.
+const WEIGHTS: [f64; FEATURES.len() + 1] = [
+    -7.3685, 0.7349, 1.1336, 0.0985, 0.1059, -0.8703, -0.1977, -1.0444, -0.2429, -2.0729, 3.9297, 3.4463, -0.7486, -7.8605, -0.3885,
+    0.2990, -0.8851, -1.1467, 1.5730, 2.7386,
+];
 
 fn pose(looked: &Looked) -> Result<Pose, Refusal> {
     let Looked { corners, arms, map, evidence, .. } = looked;
@@ -509,4 +530,45 @@ fn covariance(map: &Homography, [u, v]: Point, quality: f64) -> [f64; 3] {
     let plane = (CENTER * (1.0 + DOUBT * (1.0 - quality))).powi(2);
     let pixels = CENTER_PX * CENTER_PX;
     [plane * (a[0] * a[0] + b[0] * b[0]) + pixels, plane * (a[0] * a[1] + b[0] * b[1]), plane * (a[1] * a[1] + b[1] * b[1]) + pixels]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_corner_whose_sides_are_unsure_is_drawn_to_where_a_square_has_it() {
+        let square = square::tests::seen(1.0, 0.3, 0.7, 0.5, 10.0, 1000.0).map(|[x, y]| [x + 200.0, y + 200.0]);
+        let [a, b, c, d] = square;
+        // Two ragged sides meet too far out, away from the corner opposite.
+        let off = along(c, sub(c, a), 12.0 / distance(a, c));
+        let outlined = [a, b, off, d];
+        let sides: [Side; 4] = std::array::from_fn(|k| Side {
+            line: Line::through(outlined[k], outlined[(k + 1) % 4]).unwrap(),
+            ragged: 0.0,
+            deviation: if k == 1 || k == 2 { 10.0 } else { 1.0 },
+        });
+        let nothing = Arms {
+            stem: 0,
+            shown: 0,
+            seen: 0,
+            ends: [None; 4],
+            meeting: [0.5; 2],
+            presence: [0.0; 4],
+            separation: 0.0,
+            likeness: 0.0,
+            contrast: 0.0,
+            strength: 0.0,
+            noise: 0.0,
+            lead: 0.0,
+            beside: 0.0,
+            wobble: 0.0,
+        };
+        // A box that touches every border of the picture says nothing.
+        let view = View { bounds: Quad(outlined).bounds(), borders: [true; 4], size: 1250.0 };
+        let map = Homography::from_unit_square(&outlined).unwrap();
+        let found = together(&outlined, &sides, &nothing, &map, &view).unwrap();
+        let errors: Vec<f64> = found.iter().zip(&square).map(|(f, t)| distance(*f, *t)).collect();
+        assert!(errors[2] < 10.0 && [0, 1, 3].iter().all(|k| errors[*k] < 4.0), "{errors:?}");
+    }
 }

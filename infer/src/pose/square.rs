@@ -18,19 +18,33 @@ fn bend(corners: &[Point; 4]) -> Point {
     [0, 1].map(|axis| corners[0][axis] - corners[1][axis] + corners[2][axis] - corners[3][axis])
 }
 
+/// The sides of the parallelogram that these corners are but for perspective: those from the first corner to the second and to the fourth.
+fn sides([a, b, c, d]: &[Point; 4]) -> [Point; 2] {
+    [[0, 1].map(|axis| 0.5 * (b[axis] - a[axis] + c[axis] - d[axis])), [0, 1].map(|axis| 0.5 * (d[axis] - a[axis] + c[axis] - b[axis]))]
+}
+
+/// The squared side of the square that looks like a parallelogram of sides `u` and `v` when it is tilted. Its sides, of one length, have
+/// these as shadows: with z the third coordinates, |u|^2 + zu^2 = |v|^2 + zv^2 and u.v + zu zv = 0.
+fn squared_side(u: Point, v: Point) -> f64 {
+    let (uu, vv) = (dot(u, u), dot(v, v));
+    0.5 * (uu + vv) + (0.5 * (uu - vv)).hypot(dot(u, v))
+}
+
+/// Cosine of the angle by which a square is tilted that looks like these corners: 1 from the front. A part of a square that is taken for the
+/// whole looks tilted.
+#[must_use]
+pub fn cos_tilt(corners: &[Point; 4]) -> f64 {
+    let [u, v] = sides(corners);
+    (u[0] * v[1] - u[1] * v[0]).abs() / squared_side(u, v).max(1e-9)
+}
+
 /// How a square bends that looks like these corners but for perspective, up to its sign: the corners tell how much it is tilted, not
 /// which way. `focal` in pixels.
 fn bend_of_square(corners: &[Point; 4], focal: f64) -> Point {
-    // The parallelogram's sides, images of the square's.
-    let [a, b, c, d] = corners;
-    let u = [0, 1].map(|axis| 0.5 * (b[axis] - a[axis] + c[axis] - d[axis]));
-    let v = [0, 1].map(|axis| 0.5 * (d[axis] - a[axis] + c[axis] - b[axis]));
-    // Rotated sides of one length whose shadows are u and v: with z the third coordinates, |u|^2 + zu^2 = |v|^2 + zv^2 and u.v + zu zv = 0.
-    let (uu, vv, uv) = (dot(u, u), dot(v, v), dot(u, v));
-    let half = 0.5 * (uu - vv);
-    let square = 0.5 * (uu + vv) + half.hypot(uv);
-    let (zu, zv) = ((square - uu).max(0.0).sqrt(), (square - vv).max(0.0).sqrt());
-    let zv = if uv > 0.0 { -zv } else { zv };
+    let [u, v] = sides(corners);
+    let square = squared_side(u, v);
+    let (zu, zv) = ((square - dot(u, u)).max(0.0).sqrt(), (square - dot(v, v)).max(0.0).sqrt());
+    let zv = if dot(u, v) > 0.0 { -zv } else { zv };
     // A point (i, j) of the square lies (i zu + j zv) farther than the middle, whose distance is `focal` in these pixels: divided by that, the
     // product i j is left.
     [0, 1].map(|axis| (zu * v[axis] + zv * u[axis]) / focal)
@@ -66,11 +80,11 @@ pub fn regular(corners: [Corner; 4], side_px: f64, size: f64) -> [Point; 4] {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
     /// A square of `side`, turned, tilted about an axis and seen from a distance.
-    fn seen(side: f64, turn: f64, tilt: f64, axis: f64, distance: f64, focal: f64) -> [Point; 4] {
+    pub fn seen(side: f64, turn: f64, tilt: f64, axis: f64, distance: f64, focal: f64) -> [Point; 4] {
         let (sin, cos) = axis.sin_cos();
         [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)].map(|(x, y)| {
             let [x, y] = [side * (x * turn.cos() - y * turn.sin()), side * (x * turn.sin() + y * turn.cos())];
@@ -88,6 +102,7 @@ mod tests {
             let sign = dot(found, told).signum();
             let off = norm([found[0] - sign * told[0], found[1] - sign * told[1]]);
             assert!(off < 0.1 * norm(found), "{turn} {tilt} {axis}: {found:?} {told:?}");
+            assert!((cos_tilt(&corners) - tilt.cos()).abs() < 0.01, "{turn} {tilt} {axis}: {}", cos_tilt(&corners));
         }
         assert!(norm(bend_of_square(&seen(1.0, 0.4, 0.0, 0.0, 20.0, 1000.0), 1000.0)) < 1e-6);
     }

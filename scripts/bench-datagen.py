@@ -69,6 +69,7 @@ def main():
     words.add_argument("--images", type=int, default=600)
     words.add_argument("--threads", type=int, default=2)
     words.add_argument("--program", default=str(ROOT / "target/release/tcross"))
+    words.add_argument("--only", help="of T-cross, those alone whose name has this in it")
     words.add_argument("--memory", help="most memory for these numbers of images, instead of speed")
     args = words.parse_args()
     if args.memory:
@@ -101,6 +102,7 @@ def main():
         "hand-drawn, photos": lambda: run_tcross("hand-drawn", True),
         "hand-drawn, embedded scenes": lambda: run_tcross("hand-drawn", False),
     }
+    contenders = {name: run for name, run in contenders.items() if run is run_peer or not args.only or args.only in name}
     times = {name: [] for name in contenders}
     for _ in range(args.rounds):
         for name, run in contenders.items():

@@ -10,6 +10,9 @@ use tcross_yolo::LossKind;
 pub struct Config {
     /// Images in a step.
     pub batch: usize,
+    /// Parts of a batch that go through the network side by side, each on its share of the threads and with batch norm of its own: faster for
+    /// narrow networks, whose layers are too small to be divided. 1 to `batch`.
+    pub batch_parts: usize,
     /// Length in passes over the training images.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub epochs: Option<f64>,
@@ -285,6 +288,7 @@ impl Default for Config {
     fn default() -> Self {
         Self {
             batch: 8,
+            batch_parts: 1,
             epochs: Some(5.0),
             steps: None,
             max_minutes: None,
@@ -381,6 +385,9 @@ impl Config {
     /// The first value that is not allowed, with its key and what is.
     pub fn validate(&self) -> Result<(), TrainError> {
         within("batch", self.batch as f64, 1.0, 4096.0)?;
+        if !(1..=self.batch).contains(&self.batch_parts) {
+            return Err(TrainError::value("batch_parts", self.batch_parts, format!("1 to {} (train.batch)", self.batch)));
+        }
         if self.epochs.is_none() && self.steps.is_none() && self.max_minutes.is_none() {
             return Err(TrainError::value("epochs", "absent", "a length: epochs, steps or max_minutes"));
         }
@@ -498,6 +505,7 @@ mod tests {
     fn wrong_values_name_key_found_and_allowed() {
         for (text, words) in [
             ("batch = 0", ["train.batch", "0", "1 to 4096"]),
+            ("batch_parts = 9", ["train.batch_parts", "9", "1 to 8"]),
             ("multi_scale = [320, 333]", ["train.multi_scale", "333", "multiples of 32"]),
             ("[optimizer]\nrate = -1.0", ["train.optimizer.rate", "-1", "to 100"]),
             ("[augment]\nflip = 1.5", ["train.augment.flip", "1.5", "0 to 1"]),

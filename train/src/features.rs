@@ -15,13 +15,15 @@ pub struct FeatureCache {
 }
 
 impl FeatureCache {
-    /// A cache, where it can serve: the backbone and its batch norms stand still, and no image is ever shown in another form.
+    /// A cache, where it can serve: the backbone and its batch norms stand still, no image is ever shown in another form, and batches go
+    /// through the network whole.
     #[must_use]
     pub fn of(config: &Config) -> Option<Self> {
         let still = config.freeze == Freeze::BackboneRunning
             && config.augment.is_still()
             && config.multi_scale.is_empty()
-            && config.windows.until == 0.0;
+            && config.windows.until == 0.0
+            && config.batch_parts == 1;
         let budget = (config.cache_gb * 1e9) as usize;
         (still && budget > 0).then(|| Self { images: HashMap::new(), place: None, bytes: 0, budget })
     }

@@ -174,7 +174,7 @@ impl<'a> Session<'a> {
         };
         let mut trainer = Trainer::new(config, &network, &state.weights, &options.accelerator)?;
         trainer.set_slots(state.slots);
-        let length = Length::new(config, order.images());
+        let length = Length::new(config, order.images(), network.input);
         let run = RunDir::open(&options.out, state.progress.step)?;
         let history = History::read(&run.path("metrics.csv"), state.progress.step)?;
         progress(Progress::Opened {

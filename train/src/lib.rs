@@ -30,6 +30,7 @@ pub mod fit;
 pub mod memory;
 mod muon;
 pub mod optimizer;
+mod pass;
 pub mod progress;
 pub mod repeat;
 pub mod run;

@@ -37,7 +37,8 @@ impl Estimate {
         let batch = config.batch as u64;
         let picture = 3 * area(&network.input) as u64;
         Ok(Self {
-            parameters: 4 * PARAMETER_COPIES * parameters as u64,
+            // Each further part of a batch has parameters and gradients of its own.
+            parameters: 4 * (PARAMETER_COPIES + 2 * (config.batch_parts as u64 - 1)) * parameters as u64,
             activations: 4 * ACTIVATION_COPIES * batch * outputs as u64,
             batches: 4 * 3 * area(&net) as u64 * batch * (config.workers as u64 + 2),
             cache: (picture * images as u64).min((config.cache_gb * 1e9) as u64),

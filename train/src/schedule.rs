@@ -1,5 +1,6 @@
 //! How far a training has come, and the learning rate there.
 use crate::config::{Config, Schedule, ScheduleKind};
+use tcross_yolo::NetSize;
 
 /// The length of a training, in the units it was given.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -10,16 +11,19 @@ pub struct Length {
     pub total_steps: Option<u64>,
     /// Where the clock ends the training.
     pub max_seconds: Option<f64>,
+    /// Which share of the training sees windows, and what a step on windows costs, by its pixels, beside one on whole images.
+    pub(crate) windows: (f64, f64),
 }
 
 impl Length {
-    /// Of a training over `images` images.
+    /// Of a training over `images` images, each an input of this size when it is shown whole.
     #[must_use]
-    pub fn new(config: &Config, images: usize) -> Self {
+    pub fn new(config: &Config, images: usize, net: NetSize) -> Self {
         let steps_per_epoch = images as f64 / config.batch as f64;
         let by_epochs = config.epochs.map(|epochs| ((epochs * steps_per_epoch).ceil() as u64).max(1));
         let total_steps = [by_epochs, config.steps].into_iter().flatten().min();
-        Self { steps_per_epoch, total_steps, max_seconds: config.max_minutes.map(|m| m * 60.0) }
+        let windows = (config.windows.until, config.windows.side.pow(2) as f64 / (net.width * net.height) as f64);
+        Self { steps_per_epoch, total_steps, max_seconds: config.max_minutes.map(|m| m * 60.0), windows }
     }
 
     /// How much of the training lies before `step` (0-based) when `seconds` have passed: 0..=1. Steps and clock run together, and
@@ -31,11 +35,17 @@ impl Length {
         by_steps.max(by_clock).clamp(0.0, 1.0)
     }
 
-    /// Seconds still to go, from the pace so far.
+    /// Seconds still to go, from the pace so far; steps on windows and on whole images count by their pixels.
     #[must_use]
     pub fn seconds_left(&self, step: u64, seconds: f64) -> Option<f64> {
-        let fraction = self.fraction(step, seconds);
-        (fraction > 0.0).then(|| seconds * (1.0 - fraction) / fraction)
+        let (until, cost) = self.windows;
+        let work = |fraction: f64| cost * fraction.min(until) + (fraction - until).max(0.0);
+        let by_steps = self.total_steps.filter(|_| step > 0).map(|total| {
+            let done = work((step as f64 / total as f64).min(1.0));
+            seconds * (work(1.0) - done) / done
+        });
+        let by_clock = self.max_seconds.map(|limit| (limit - seconds).max(0.0));
+        [by_steps, by_clock].into_iter().flatten().reduce(f64::min)
     }
 }
 
@@ -69,9 +79,10 @@ fn piece(at: &[f64], factors: &[f64], x: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::Windows;
 
     fn length(epochs: Option<f64>, minutes: Option<f64>) -> Length {
-        Length::new(&Config { batch: 10, epochs, max_minutes: minutes, ..Config::default() }, 1000)
+        Length::new(&Config { batch: 10, epochs, max_minutes: minutes, ..Config::default() }, 1000, NetSize::square(416))
     }
 
     #[test]
@@ -108,6 +119,18 @@ mod tests {
         let length = length(Some(1.0), Some(1.0));
         assert_eq!(length.total_steps, Some(100));
         assert_eq!((length.fraction(50, 0.0), length.fraction(50, 45.0), length.fraction(90, 70.0)), (0.5, 0.75, 1.0));
-        assert_eq!(length.seconds_left(25, 10.0), Some(30.0));
+        assert_eq!((length.seconds_left(25, 10.0), length.seconds_left(25, 50.0)), (Some(30.0), Some(10.0)));
+    }
+
+    /// A window of half the side costs a quarter: after three quarters of the steps, all on windows, 3 of 7 parts of the work are done.
+    #[test]
+    fn whole_images_are_known_to_take_longer_than_windows() {
+        let windows = Windows { until: 0.75, side: 208, ..Windows::default() };
+        let length = Length::new(&Config { batch: 10, epochs: Some(1.0), windows, ..Config::default() }, 1000, NetSize::square(416));
+        for (step, seconds) in [(25, 1.0), (75, 3.0), (85, 4.6), (100, 7.0)] {
+            let left = length.seconds_left(step, seconds).unwrap();
+            assert!((left - (7.0 - seconds)).abs() < 1e-9, "after {seconds} s: {left}");
+        }
+        assert_eq!(length.seconds_left(0, 0.0), None);
     }
 }

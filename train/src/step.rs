@@ -1,4 +1,4 @@
-//! One step: images to logits, logits to a loss and its gradient, gradient to parameters.
+//! One step: a batch to gradients, in one part or several side by side, and gradients to new parameters.
 use crate::{
     config::{self, ClipBy, Config, Freeze},
     data::Batch,
@@ -7,22 +7,29 @@ use crate::{
     features::FeatureCache,
     muon,
     optimizer::{Rule, Slot, clip_gains, squared_norm},
+    pass::{Pass, Passed, floats, floats_mut},
 };
 use burn::{
-    module::{Module, ModuleMapper, ModuleVisitor, Param},
-    tensor::{Device, Gradients, Tensor, TensorData},
+    module::{Module, ModuleMapper, Param},
+    tensor::{Tensor, TensorData},
 };
-use rayon::prelude::*;
-use tcross_kernels::ops::{self, Path};
-use tcross_yolo::{Loss, LossTerms, ModelConfig, Statistics, Weights, Yolo, network::read_logits};
+use rayon::{ThreadPool, ThreadPoolBuilder, prelude::*};
+use tcross_kernels::{
+    allocator::{self, Keep},
+    ops::Path,
+};
+use tcross_yolo::{Loss, LossTerms, ModelConfig, Statistics, Weights, Yolo};
 
 /// A network with its optimiser.
 pub struct Trainer {
-    network: Option<Yolo>,
-    model: ModelConfig,
-    device: Device,
-    path: Path,
-    loss: Loss,
+    /// Every step takes and frees the same large buffers. First, so that it is dropped before the others give theirs back for good.
+    _kept: Keep,
+    /// The network once for each part of a batch, all with the same parameters: burn would let two backward passes of one network wait for
+    /// each other.
+    replicas: Vec<Yolo>,
+    /// Threads for each part; none where there are too few, and parts come one after another.
+    pools: Vec<ThreadPool>,
+    pass: Pass,
     optimizer: config::Optimizer,
     clip: f64,
     clip_by: ClipBy,
@@ -44,30 +51,39 @@ impl Trainer {
     /// A network of this description that starts from these weights.
     ///
     /// # Errors
-    /// If the weights do not fit the description.
+    /// If the weights do not fit the description, or the threads for parts of a batch cannot be started.
     pub fn new(config: &Config, model: &ModelConfig, weights: &Weights, accelerator: &Accelerator) -> Result<Self, TrainError> {
+        let kept = allocator::keep();
         let device = accelerator.device().autodiff();
-        let mut trainer = Self {
-            network: None,
-            model: model.clone(),
-            path: if config.fused { Path::for_device(&device) } else { Path::Composite },
-            device,
-            loss: Loss { kind: config.loss, ignore_iou: config.ignore_iou as f32, assign_iou: config.assign_iou as f32 },
+        let path = if config.fused { Path::for_device(&device) } else { Path::Composite };
+        let replica = || -> Result<Yolo, TrainError> {
+            let network = Yolo::new(model, weights, &device)?.with_momentum(1.0 - config.batch_norm_decay).with_path(path);
+            let backbone = network.graph().backbone();
+            Ok(match config.freeze {
+                Freeze::None => network,
+                Freeze::Backbone => network.frozen(backbone),
+                Freeze::BackboneRunning => network.frozen(backbone).with_statistics(backbone, Statistics::Running),
+            })
+        };
+        let parts = config.batch_parts;
+        let threads = rayon::current_num_threads() / parts;
+        let pool = |_| {
+            let pool = ThreadPoolBuilder::new().num_threads(threads).build();
+            pool.map_err(|e| TrainError::Device { device: "cpu".into(), message: e.to_string() })
+        };
+        let pools = if parts > 1 && threads > 0 { (0..parts).map(pool).collect::<Result<_, _>>()? } else { Vec::new() };
+        let loss = Loss { kind: config.loss, ignore_iou: config.ignore_iou as f32, assign_iou: config.assign_iou as f32 };
+        Ok(Self {
+            _kept: kept,
+            replicas: (0..parts).map(|_| replica()).collect::<Result<_, _>>()?,
+            pools,
+            pass: Pass { model: model.clone(), loss, device, path },
             optimizer: config.optimizer.clone(),
             clip: config.clip,
             clip_by: config.clip_by,
             features: FeatureCache::of(config),
             slots: Vec::new(),
-        };
-        let network = Yolo::new(model, weights, &trainer.device)?.with_momentum(1.0 - config.batch_norm_decay);
-        let network = network.with_path(trainer.path);
-        let backbone = network.graph().backbone();
-        trainer.network = Some(match config.freeze {
-            Freeze::None => network,
-            Freeze::Backbone => network.frozen(backbone),
-            Freeze::BackboneRunning => network.frozen(backbone).with_statistics(backbone, Statistics::Running),
-        });
-        Ok(trainer)
+        })
     }
 
     /// Learns from a batch at this rate. `step` counts from 0.
@@ -75,59 +91,67 @@ impl Trainer {
     /// # Errors
     /// If a truth is out of range.
     pub fn step(&mut self, batch: Batch, rate: f64, step: u64) -> Result<StepOutput, TrainError> {
-        #[expect(clippy::expect_used, reason = "made in `new`, and put back on every way out of this function")]
-        let network = self.network.take().expect("every step puts the network back");
-        let net = batch.request.input.net;
-        let shape = [batch.truths.len(), 3, net.height, net.width];
-        let images = Tensor::from_data(TensorData::new(batch.images, shape), &self.device);
-        let heads = match &mut self.features {
-            Some(cache) => network.heads(cache.of_batch(&network, &batch.sources, images)),
-            None => network.forward(images),
-        };
-        let logits: Vec<Vec<f32>> = heads.iter().map(read_logits).collect();
-        let output = match self.loss.evaluate(&self.model.geometry(net), &logits, &batch.truths) {
-            Ok(output) => output,
-            Err(error) => {
-                self.network = Some(network);
-                return Err(error.into());
-            }
-        };
-        let surrogate = heads.into_iter().zip(output.gradients).map(|(head, gradient)| {
-            let shape = head.dims();
-            ops::seed(self.path, head, Tensor::from_data(TensorData::new(gradient, shape), &self.device))
-        });
-        #[expect(clippy::expect_used, reason = "`ModelConfig::validate` refuses networks without a head")]
-        let surrogate = surrogate.reduce(|a, b| a + b).expect("a network has a head");
-        let mut collected = Collect { gradients: surrogate.backward(), values: Vec::new() };
-        network.visit(&mut collected);
-        let squared: Vec<f64> = collected.values.iter().map(|g| g.as_ref().map_or(0.0, |g| squared_norm(floats(g)))).collect();
+        let Passed { terms, gradients, .. } = self.learn_from(batch)?;
+        let squared: Vec<f64> = gradients.iter().map(|g| g.as_ref().map_or(0.0, |g| squared_norm(floats(g)))).collect();
         let (gradient_norm, gains) = clip_gains(&squared, self.clip, self.clip_by);
         if gradient_norm.is_finite() {
-            self.slots.resize(collected.values.len(), Slot::default());
+            self.slots.resize(gradients.len(), Slot::default());
             let rule = Rule::new(&self.optimizer, rate, step);
             let directions = match rule.orthogonal() {
-                true => directions(&rule, &collected.values, &gains, &mut self.slots),
+                true => directions(&rule, &gradients, &gains, &mut self.slots),
                 false => vec![None; gains.len()],
             };
-            let mut update =
-                Update { rule, gradients: &collected.values, gains: &gains, directions: &directions, slots: &mut self.slots, at: 0 };
-            self.network = Some(network.map(&mut update));
-        } else {
-            self.network = Some(network);
+            let tell = self.replicas.len() > 1;
+            let mut update = Update {
+                rule,
+                gradients: &gradients,
+                gains: &gains,
+                directions: &directions,
+                slots: &mut self.slots,
+                tell,
+                moved: Vec::new(),
+            };
+            let mut replicas = std::mem::take(&mut self.replicas).into_iter();
+            let first = replicas.next().map(|network| network.map(&mut update));
+            let moved = update.moved;
+            let others = replicas.map(|network| network.map(&mut Adopt { values: moved.iter() }));
+            self.replicas = first.into_iter().chain(others).collect();
         }
-        Ok(StepOutput { terms: output.terms, gradient_norm })
+        Yolo::share_statistics(&self.replicas);
+        Ok(StepOutput { terms, gradient_norm })
+    }
+
+    /// Takes the parts of a batch through the replicas, side by side where there are threads for each, and adds up what they find.
+    fn learn_from(&mut self, batch: Batch) -> Result<Passed, TrainError> {
+        let (pass, replicas) = (&self.pass, &self.replicas);
+        if let [network] = replicas.as_slice() {
+            return pass.run(network, batch, self.features.as_mut());
+        }
+        let parts = batch.parts(replicas.len());
+        let work = parts.into_iter().zip(replicas);
+        let passed: Vec<Result<Passed, TrainError>> = if self.pools.is_empty() {
+            work.map(|(part, network)| pass.run(network, part, None)).collect()
+        } else {
+            std::thread::scope(|scope| {
+                let begun =
+                    work.zip(&self.pools).map(|((part, network), pool)| scope.spawn(|| pool.install(|| pass.run(network, part, None))));
+                let begun: Vec<_> = begun.collect();
+                begun.into_iter().map(|part| part.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
+            })
+        };
+        Ok(Passed::sum(passed.into_iter().collect::<Result<_, _>>()?))
     }
 
     /// Which kernels run.
     #[must_use]
     pub fn path(&self) -> Path {
-        self.path
+        self.pass.path
     }
 
     /// Reads the parameters back.
     #[must_use]
     pub fn weights(&self) -> Weights {
-        self.network.as_ref().map(Yolo::weights).unwrap_or_default()
+        self.replicas.first().map(Yolo::weights).unwrap_or_default()
     }
 
     /// What the optimiser remembers, one a float of the network in the order in which it is walked.
@@ -139,24 +163,6 @@ impl Trainer {
     /// Puts back what the optimiser remembered.
     pub fn set_slots(&mut self, slots: Vec<Slot>) {
         self.slots = slots;
-    }
-}
-
-#[expect(clippy::expect_used, reason = "parameters and their gradients are made of f32 in `ConvBlock::new`")]
-fn floats(data: &TensorData) -> &[f32] {
-    data.as_slice::<f32>().expect("parameters and gradients are f32")
-}
-
-/// Takes each parameter's gradient, in the order in which the network is walked; none for what does not learn.
-struct Collect {
-    gradients: Gradients,
-    values: Vec<Option<TensorData>>,
-}
-
-impl ModuleVisitor for Collect {
-    fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-        let tensor = param.val();
-        self.values.push(tensor.grad_remove(&mut self.gradients).map(Tensor::into_data));
     }
 }
 
@@ -176,24 +182,104 @@ struct Update<'a> {
     gains: &'a [f32],
     directions: &'a [Option<Vec<f32>>],
     slots: &'a mut [Slot],
-    at: usize,
+    /// Whether `moved` is to hold where each parameter has moved to.
+    tell: bool,
+    /// One a parameter so far; none for what does not learn, or where nobody asks.
+    moved: Vec<Option<TensorData>>,
 }
 
 impl ModuleMapper for Update<'_> {
     fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
-        let at = self.at;
-        self.at += 1;
-        let Some(gradient) = &self.gradients[at] else { return param };
+        let at = self.moved.len();
+        let Some(gradient) = &self.gradients[at] else {
+            self.moved.push(None);
+            return param;
+        };
         let (id, tensor, mapper) = param.consume();
         let device = tensor.device();
         let mut data = tensor.inner().into_data();
-        #[expect(clippy::expect_used, reason = "parameters are made of f32 in `ConvBlock::new`")]
-        let values = data.as_mut_slice::<f32>().expect("parameters are f32");
         match &self.directions[at] {
-            Some(direction) => self.rule.stride(values, direction),
+            Some(direction) => self.rule.stride(floats_mut(&mut data), direction),
             // Kernels have four dimensions; biases and batch norm's numbers have one and no decay.
-            None => self.rule.update(values, floats(gradient), self.gains[at], D == 4, &mut self.slots[at]),
+            None => self.rule.update(floats_mut(&mut data), floats(gradient), self.gains[at], D == 4, &mut self.slots[at]),
         }
+        self.moved.push(self.tell.then(|| data.clone()));
         Param::from_mapped_value(id, Tensor::from_data(data, &device).require_grad(), mapper)
+    }
+}
+
+/// Puts each parameter where that of another replica has moved to.
+struct Adopt<'a> {
+    values: std::slice::Iter<'a, Option<TensorData>>,
+}
+
+impl ModuleMapper for Adopt<'_> {
+    fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+        let Some(Some(values)) = self.values.next() else { return param };
+        let (id, tensor, mapper) = param.consume();
+        Param::from_mapped_value(id, Tensor::from_data(values.clone(), &tensor.device()).require_grad(), mapper)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        augment::{Input, View},
+        data::Request,
+    };
+    use tcross_dataset::Rng;
+    use tcross_yolo::{Architecture, NetSize, NormBox, Truth};
+
+    /// `batch` images of noise with a box each, the second half of them as the first.
+    fn twice(batch: usize) -> Batch {
+        let net = NetSize::square(64);
+        let mut rng = Rng::for_item(1, "test/step", 0);
+        let half: Vec<f32> = (0..batch / 2 * 3 * 64 * 64).map(|_| rng.unit() as f32).collect();
+        let mut truth = || {
+            let [x, y, w, h] = [0; 4].map(|_| rng.uniform(0.3, 0.6) as f32);
+            vec![Truth { bounds: NormBox { x, y, w, h }, class: 0, weight: 1.0, keypoints: Vec::new() }]
+        };
+        let truths: Vec<Vec<Truth>> = (0..batch / 2).map(|_| truth()).collect();
+        let request = Request { step: 0, input: Input { net, view: View::Whole, fraction: 0.0 } };
+        Batch { request, sources: vec![vec![0]; batch], images: half.repeat(2), truths: truths.repeat(2) }
+    }
+
+    /// Halves that are the same have the whole's statistics, loss and gradient: a step in two parts is the step in one.
+    #[test]
+    fn a_step_in_parts_is_the_step_of_the_whole() {
+        let model = ModelConfig { width: 0.125, depth: 0.25, ..ModelConfig::of(Architecture::YoloV3) };
+        let weights = Weights::init(&model.graph().unwrap(), &model.fields(), &Default::default(), 1);
+        let learned = [1, 2].map(|batch_parts| {
+            let config = Config { batch_parts, ..Config::default() };
+            let mut trainer = Trainer::new(&config, &model, &weights, &Accelerator::Cpu).unwrap();
+            let found = [0, 1].map(|step| trainer.step(twice(4), 1e-3, step).unwrap());
+            let copies = trainer.replicas.iter().map(Yolo::weights).collect::<Vec<_>>();
+            assert!(copies.len() == batch_parts && copies.iter().all(|copy| *copy == copies[0]), "replicas agree");
+            (found, trainer.weights())
+        });
+        let [(whole, whole_weights), (parts, parts_weights)] = &learned;
+        for (a, b) in whole.iter().zip(parts) {
+            assert!((a.terms.total() - b.terms.total()).abs() < 1e-3 * a.terms.total(), "{a:?}, {b:?}");
+            assert!((a.gradient_norm - b.gradient_norm).abs() < 1e-2 * a.gradient_norm, "{a:?}, {b:?}");
+        }
+        let (a, b) = (whole_weights.convolutions[0].norm.as_ref().unwrap(), parts_weights.convolutions[0].norm.as_ref().unwrap());
+        assert!(a.variance.iter().zip(&b.variance).all(|(a, b)| (a - b).abs() < 1e-4 * a), "running averages");
+        assert!(*whole_weights != weights);
+    }
+
+    #[test]
+    fn a_batch_falls_into_parts_of_about_the_same_size() {
+        let batch = Batch {
+            truths: vec![Vec::new(); 5],
+            sources: (0..5).map(|k| vec![k]).collect(),
+            images: (0..10).map(|k| k as f32).collect(),
+            ..twice(2)
+        };
+        let parts = batch.parts(3);
+        let sizes: Vec<usize> = parts.iter().map(|part| part.truths.len()).collect();
+        assert_eq!(sizes, [2, 2, 1]);
+        assert_eq!(parts.iter().flat_map(|part| part.images.clone()).collect::<Vec<_>>(), (0..10).map(|k| k as f32).collect::<Vec<_>>());
+        assert_eq!(parts[2].sources, [[4]]);
     }
 }

@@ -90,21 +90,29 @@ pub fn pairs(looks: &[Look]) -> Vec<(usize, usize)> {
     found
 }
 
-/// Groups of pictures joined by likeness, directly or through others: for each picture the index of the first of its group.
+/// Groups of pictures joined by likeness, directly or through others: for each picture the index of the first of its group. One whose look is
+/// not known stands alone.
 #[must_use]
-pub fn groups(looks: &[Look]) -> Vec<usize> {
-    let mut first: Vec<usize> = (0..looks.len()).collect();
+pub fn groups(looks: &[Option<Look>]) -> Vec<usize> {
+    let (places, known): (Vec<usize>, Vec<Look>) = looks.iter().enumerate().filter_map(|(k, l)| Some((k, l.clone()?))).unzip();
+    joined(looks.len(), pairs(&known).into_iter().map(|(a, b)| (places[a], places[b])))
+}
+
+/// Groups of `count` things joined by pairs, directly or through others: for each thing the index of the first of its group.
+#[must_use]
+pub fn joined(count: usize, pairs: impl IntoIterator<Item = (usize, usize)>) -> Vec<usize> {
+    let mut first: Vec<usize> = (0..count).collect();
     fn root(first: &[usize], mut k: usize) -> usize {
         while first[k] != k {
             k = first[k];
         }
         k
     }
-    for (a, b) in pairs(looks) {
+    for (a, b) in pairs {
         let (a, b) = (root(&first, a), root(&first, b));
         first[a.max(b)] = a.min(b);
     }
-    (0..looks.len()).map(|k| root(&first, k)).collect()
+    (0..count).map(|k| root(&first, k)).collect()
 }
 
 #[cfg(test)]
@@ -147,7 +155,9 @@ mod tests {
         let look = |bits: u128| Look { signs: bits, thumbnail: [[0; 3]; 64] };
         let looks = [look(0), look(u128::MAX), look(0b11111), look(0b1111111111)];
         assert!(!looks[0].is_like(&looks[3]));
-        assert_eq!(groups(&looks), [0, 1, 0, 0]);
+        let [a, b, c, d] = looks.map(Some);
+        assert_eq!(groups(&[a.clone(), b.clone(), c.clone(), d.clone()]), [0, 1, 0, 0]);
+        assert_eq!(groups(&[a, b, None, d]), [0, 1, 2, 3], "nothing joins the first and the last without the third");
     }
 
     #[test]

@@ -2,14 +2,18 @@
 //!
 //! A training step takes and frees the same few hundred megabytes again and again. The system's allocator gives such blocks back to the
 //! kernel, which clears every page anew: on a CPU that costs as much as much of the arithmetic. [`Pool`] keeps freed blocks of at least
-//! 64 KiB in lists by size class (eighths of a power of two) and hands them out again; everything smaller goes to the system. What it holds
-//! is bounded by what was in use at the peak and a quarter more.
+//! 64 KiB in lists by size class (eighths of a power of two) and hands them out again; everything smaller goes to the system. It keeps
+//! them only while someone asks for it ([`keep`]), as a training does: work whose buffers differ from one piece to the next, as images
+//! being drawn, would gather blocks of ever more sizes. What it holds is bounded by what was in use at the peak and a quarter more.
 //!
 //! ```
-//! use tcross_kernels::allocator::Pool;
+//! use tcross_kernels::allocator::{Pool, keep};
 //! #[global_allocator]
 //! static POOL: Pool = Pool::new();
-//! # fn main() { assert_eq!(vec![0u8; 1 << 20].len(), 1 << 20); }
+//! # fn main() {
+//! let _kept = keep(); // From here to the end of the scope freed blocks are used again.
+//! assert_eq!(vec![0u8; 1 << 20].len(), 1 << 20);
+//! # }
 //! ```
 use std::{
     alloc::{GlobalAlloc, Layout, System},
@@ -23,6 +27,27 @@ const LEAST: usize = 64 * 1024;
 const ALIGN: usize = 64;
 /// Size classes: eight a power of two, from 2^16 on; larger blocks than the last class are the system's.
 const CLASSES: usize = 8 * 24;
+
+/// How many [`Keep`] live.
+static KEEPERS: AtomicUsize = AtomicUsize::new(0);
+
+/// While one lives, pools keep what is freed.
+#[derive(Debug)]
+#[must_use = "blocks are kept only as long as this lives"]
+pub struct Keep(());
+
+/// Asks every [`Pool`] to keep freed blocks until the answer is dropped. Blocks kept until then are still handed out after it, and go back to
+/// the system when they are freed.
+pub fn keep() -> Keep {
+    KEEPERS.fetch_add(1, Ordering::Relaxed);
+    Keep(())
+}
+
+impl Drop for Keep {
+    fn drop(&mut self) {
+        KEEPERS.fetch_sub(1, Ordering::Relaxed);
+    }
+}
 
 /// See the module.
 pub struct Pool {
@@ -104,7 +129,8 @@ impl Pool {
             self.used.store(used, Ordering::Relaxed);
             let peak = self.peak.load(Ordering::Relaxed);
             // A quarter more than the peak: forward and backward passes want different classes, and should not hand theirs to and fro.
-            if used + self.held.load(Ordering::Relaxed) + bytes <= peak + peak / 4 {
+            let kept = KEEPERS.load(Ordering::Relaxed) > 0;
+            if kept && used + self.held.load(Ordering::Relaxed) + bytes <= peak + peak / 4 {
                 // SAFETY: the caller freed the block, which has at least 64 KiB.
                 unsafe { block.cast::<usize>().write(self.free[class].load(Ordering::Relaxed)) };
                 self.free[class].store(block as usize, Ordering::Relaxed);
@@ -221,6 +247,10 @@ unsafe impl GlobalAlloc for Counted {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::sync::Mutex;
+
+    /// Keeping holds for the whole program, so that tests of it take turns.
+    static KEEPING: Mutex<()> = Mutex::new(());
 
     #[test]
     fn classes_hold_their_sizes() {
@@ -237,9 +267,14 @@ mod tests {
     }
 
     #[test]
-    fn blocks_come_back_and_memory_is_bounded() {
+    fn blocks_come_back_while_kept_and_memory_is_bounded() {
         let pool = Pool::new();
         let layout = Layout::from_size_align(1 << 20, 16).unwrap();
+        let _alone = KEEPING.lock().unwrap();
+        // SAFETY: the block is freed once with the layout it was taken with.
+        unsafe { pool.dealloc(pool.alloc(layout), layout) };
+        assert_eq!(pool.held.load(Ordering::Relaxed), 0, "nobody keeps anything yet");
+        let kept = keep();
         // SAFETY: every block is freed once with the layout it was taken with, and written only within its size.
         unsafe {
             let first = pool.alloc(layout);
@@ -252,12 +287,19 @@ mod tests {
             pool.dealloc(grown, Layout::from_size_align(3 << 20, 16).unwrap());
         }
         assert_eq!(pool.used.load(Ordering::Relaxed), 0);
-        assert!(pool.held.load(Ordering::Relaxed) <= pool.peak.load(Ordering::Relaxed) / 4 * 5);
+        let held = pool.held.load(Ordering::Relaxed);
+        assert!(held > 0 && held <= pool.peak.load(Ordering::Relaxed) / 4 * 5);
+        drop(kept);
+        // SAFETY: as above.
+        unsafe { pool.dealloc(pool.alloc(layout), layout) };
+        assert!(pool.held.load(Ordering::Relaxed) < held, "a kept block that is used once more goes back to the system");
     }
 
     #[test]
     fn threads_share_it() {
         static POOL: Pool = Pool::new();
+        let _alone = KEEPING.lock().unwrap();
+        let _kept = keep();
         std::thread::scope(|scope| {
             for t in 0..4usize {
                 scope.spawn(move || {

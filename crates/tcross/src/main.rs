@@ -8,7 +8,7 @@ mod stages;
 mod stop;
 mod work;
 
-/// A training step takes and frees the same large buffers again and again.
+/// A training step takes and frees the same large buffers again and again; nothing else keeps what it frees.
 #[global_allocator]
 static POOL: tcross_kernels::allocator::Pool = tcross_kernels::allocator::Pool::new();
 

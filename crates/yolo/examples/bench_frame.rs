@@ -10,11 +10,7 @@ use std::{
     time::Instant,
 };
 use tcross_dataset::Rng;
-use tcross_kernels::allocator::Pool;
 use tcross_yolo::{Architecture, InferenceNet, Model, ModelConfig, NetSize, Weights};
-
-#[global_allocator]
-static POOL: Pool = Pool::new();
 
 fn main() -> Result<(), Box<dyn Error>> {
     let words: Vec<String> = std::env::args().skip(1).collect();

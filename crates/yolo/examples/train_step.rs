@@ -4,13 +4,17 @@
 #![expect(clippy::print_stdout, reason = "an example prints its result")]
 use burn::tensor::{Device, Tensor, TensorData};
 use std::time::Instant;
-use tcross_kernels::{allocator::Pool, ops::Path};
+use tcross_kernels::{
+    allocator::{Pool, keep},
+    ops::Path,
+};
 use tcross_yolo::{Architecture, ModelConfig, Weights, Yolo};
 
 #[global_allocator]
 static POOL: Pool = Pool::new();
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let _kept = keep();
     let words: Vec<String> = std::env::args().skip(1).collect();
     let number = |k: usize, default: f64| words.get(k).and_then(|w| w.parse().ok()).unwrap_or(default);
     let (width, batch, steps) = (number(0, 0.25), number(1, 8.0) as usize, number(2, 7.0) as usize);

@@ -1,6 +1,6 @@
 //! The burn module that walks a graph.
 use crate::{
-    blocks::{self, ConvBlock, Statistics},
+    blocks::{self, ConvBlock, Norm, Statistics},
     config::ModelConfig,
     error::YoloError,
     graph::Graph,
@@ -8,7 +8,7 @@ use crate::{
     weights::Weights,
 };
 use burn::{
-    module::Module,
+    module::{Module, RunningState},
     tensor::{Device, Tensor},
 };
 use tcross_kernels::ops::{self, Path};
@@ -104,6 +104,22 @@ impl Yolo {
     #[must_use]
     pub fn convolutions_below(&self, layers: usize) -> usize {
         self.graph.convolutions().filter(|(layer, _)| *layer < layers).count()
+    }
+
+    /// Gives several copies of one network, that have seen a batch each, the same running averages: the mean of theirs.
+    pub fn share_statistics(copies: &[Self]) {
+        if copies.len() < 2 {
+            return;
+        }
+        let norms = |index: usize| copies.iter().filter_map(move |copy| copy.convolutions[index].norm.as_ref());
+        for index in 0..copies[0].convolutions.len() {
+            for state in [|norm: &Norm| norm.mean.clone(), |norm: &Norm| norm.variance.clone()] {
+                let states: Vec<_> = norms(index).map(state).collect();
+                let sum = states.iter().map(RunningState::value_sync).reduce(|a, b| a + b);
+                let Some(mean) = sum.map(|sum| sum / copies.len() as f32) else { continue };
+                states.iter().for_each(|state| state.update(mean.clone()));
+            }
+        }
     }
 
     /// Images `[batch, 3, height, width]`, RGB in 0..1, to each head's raw logits

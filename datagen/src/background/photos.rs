@@ -115,7 +115,7 @@ impl Photos {
         if config.background.near_duplicates_together && self.groups.get().is_none() {
             let looks: Vec<Option<Look>> = (0..self.names.len()).into_par_iter().map(|photo| self.look(photo, size(config))).collect();
             // Another thread may have been faster: it found the same.
-            let _ = self.groups.set(grouped(&looks));
+            let _ = self.groups.set(similar::groups(&looks));
         }
     }
 
@@ -133,7 +133,7 @@ impl Photos {
         }
         let alone: Vec<usize> = (0..self.names.len()).collect();
         let first = if key.1 {
-            self.groups.get_or_init(|| grouped(&alone.iter().map(|photo| self.look(*photo, size(config))).collect::<Vec<_>>()))
+            self.groups.get_or_init(|| similar::groups(&alone.iter().map(|photo| self.look(*photo, size(config))).collect::<Vec<_>>()))
         } else {
             &alone
         };
@@ -234,14 +234,6 @@ impl Photos {
 /// What is asked for is one size a dataset.
 fn size(config: &Config) -> (u32, u32) {
     (config.width, config.height)
-}
-
-/// For each photo the first of its group; one that cannot be decoded stands alone.
-fn grouped(looks: &[Option<Look>]) -> Vec<usize> {
-    let (places, known): (Vec<usize>, Vec<Look>) = looks.iter().enumerate().filter_map(|(k, l)| Some((k, l.clone()?))).unzip();
-    let mut first: Vec<usize> = (0..looks.len()).collect();
-    similar::groups(&known).into_iter().enumerate().for_each(|(k, group)| first[places[k]] = places[group]);
-    first
 }
 
 /// Deals groups to train, val and test.

@@ -23,14 +23,7 @@ pub const LARGEST: u32 = 65535;
 /// The picture as a JPEG file at a quality of 1 to 100 (the IJG's scale); `None` where it is empty or larger than [`LARGEST`].
 #[must_use]
 pub fn encode(image: &RgbImage, quality: u8) -> Option<Vec<u8>> {
-    let sides = [image.width(), image.height()].map(|side| u16::try_from(side).ok().filter(|side| *side > 0));
-    let [Some(width), Some(height)] = sides else { return None };
-    let quantisers = [0, 1].map(|component| Quantiser::new(component, quality));
-    let mut file = Vec::with_capacity(1 << 16);
-    write_head(&mut file, width, height, &quantisers);
-    widest(Scan { rgb: image.as_raw(), width: width.into(), quantisers: &quantisers, file: &mut file });
-    file.extend([0xff, 0xd9]);
-    Some(file)
+    Some(widest(Scan::of(image, quality)?))
 }
 
 /// All before the first coefficient.
@@ -62,17 +55,30 @@ fn write_head(file: &mut Vec<u8>, width: u16, height: u16, quantisers: &[Quantis
 struct Scan<'a> {
     rgb: &'a [u8],
     width: usize,
-    quantisers: &'a [Quantiser; 2],
-    file: &'a mut Vec<u8>,
+    quantisers: [Quantiser; 2],
+    /// Its head.
+    file: Vec<u8>,
+}
+
+impl<'a> Scan<'a> {
+    fn of(image: &'a RgbImage, quality: u8) -> Option<Self> {
+        let sides = [image.width(), image.height()].map(|side| u16::try_from(side).ok().filter(|side| *side > 0));
+        let [Some(width), Some(height)] = sides else { return None };
+        let quantisers = [0, 1].map(|component| Quantiser::new(component, quality));
+        let mut file = Vec::with_capacity(1 << 16);
+        write_head(&mut file, width, height, &quantisers);
+        Some(Self { rgb: image.as_raw(), width: width.into(), quantisers, file })
+    }
 }
 
 impl Portable for Scan<'_> {
-    type Output = ();
+    /// The whole file.
+    type Output = Vec<u8>;
 
     /// Writes them unit by unit of 16 x 16 pixels: four blocks of luma, one of blue, one of red.
     #[inline(always)]
-    fn run(self) {
-        let Self { rgb, width, quantisers, file } = self;
+    fn run(self) -> Vec<u8> {
+        let Self { rgb, width, quantisers, mut file } = self;
         let height = rgb.len() / (3 * width);
         let units = width.div_ceil(LINES);
         let mut strip = Strip::new(width, 8 * BLOCKS);
@@ -95,9 +101,11 @@ impl Portable for Scan<'_> {
                     writer.put_block(group, block % BLOCKS, &mut last[component], &codes[component.min(1)]);
                 }
             }
-            writer.flush(file);
+            writer.flush(&mut file);
         }
-        writer.finish(file);
+        writer.finish(&mut file);
+        file.extend([0xff, 0xd9]);
+        file
     }
 }
 
@@ -107,6 +115,7 @@ mod tests {
     use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
     use proptest::prelude::*;
     use tcross_dataset::Rng;
+    use tcross_kernels::simd::at_each_width;
 
     /// What the crate `jpeg-encoder` makes of the picture.
     fn judge(image: &RgbImage, quality: u8) -> Vec<u8> {
@@ -128,17 +137,19 @@ mod tests {
         })
     }
 
+    /// With every kind of vectors that this machine has.
     fn same(image: &RgbImage, quality: u8) {
-        let (ours, theirs) = (encode(image, quality).unwrap(), judge(image, quality));
-        let differ = ours.iter().zip(&theirs).position(|(a, b)| a != b);
-        assert!(
-            ours == theirs,
-            "{}x{} at {quality}: byte {differ:?} of {} and {}",
-            image.width(),
-            image.height(),
-            ours.len(),
-            theirs.len()
-        );
+        let ((width, height), theirs) = (image.dimensions(), judge(image, quality));
+        for (kind, ours) in at_each_width(|| Scan::of(image, quality).unwrap()).iter().enumerate() {
+            let differ = ours.iter().zip(&theirs).position(|(a, b)| a != b);
+            assert!(
+                *ours == theirs,
+                "{width}x{height} at {quality}, vectors {kind}: byte {differ:?} of {} and {}",
+                ours.len(),
+                theirs.len()
+            );
+        }
+        assert!(encode(image, quality).unwrap() == theirs);
     }
 
     #[test]

@@ -28,6 +28,26 @@ pub struct Batch {
     pub truths: Vec<Vec<Truth>>,
 }
 
+impl Batch {
+    /// Cuts it into `count` batches of about the same size, the larger first.
+    #[must_use]
+    pub fn parts(mut self, count: usize) -> Vec<Self> {
+        let length = self.images.len() / self.truths.len().max(1);
+        let mut parts = Vec::with_capacity(count);
+        for left in (1..=count).rev() {
+            let size = self.truths.len().div_ceil(left);
+            let rest = Self {
+                request: self.request,
+                sources: self.sources.split_off(size.min(self.sources.len())),
+                images: self.images.split_off(size * length),
+                truths: self.truths.split_off(size),
+            };
+            parts.push(std::mem::replace(&mut self, rest));
+        }
+        parts
+    }
+}
+
 /// Asks for the batch of a step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Request {

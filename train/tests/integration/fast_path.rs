@@ -53,12 +53,14 @@ fn two_hundred_steps_follow_the_composite() {
 fn threads_change_no_bit() {
     let dir = tempfile::tempdir().unwrap();
     let dataset = data(dir.path(), 8);
-    let config = Config { batch: 4, steps: Some(4), epochs: None, ..Config::default() };
-    let weights = [1, 2, 3].map(|threads| {
-        let out = dir.path().join(threads.to_string());
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| losses(&config, &dataset, &out));
-        Model::load(&out).unwrap().weights
-    });
-    assert!(weights[0] == weights[1] && weights[0] == weights[2]);
+    for batch_parts in [1, 2] {
+        let config = Config { batch: 4, batch_parts, steps: Some(4), epochs: None, ..Config::default() };
+        let weights = [1, 2, 3, 4].map(|threads| {
+            let out = dir.path().join(format!("{batch_parts}-{threads}"));
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| losses(&config, &dataset, &out));
+            Model::load(&out).unwrap().weights
+        });
+        assert!(weights.iter().all(|other| *other == weights[0]), "{batch_parts} parts");
+    }
 }

@@ -81,6 +81,21 @@ fn stopping_and_resuming_changes_nothing_and_repeats_are_bit_identical() {
     }
 }
 
+/// A batch in parts is another way to learn, as batch norm sees less at once, and as repeatable.
+#[test]
+fn parts_of_a_batch_stop_resume_and_repeat_to_equal_bits() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = data(dir.path(), 10);
+    let with = |batch_parts| Config { batch_parts, ..short() };
+    let weights = |run: &str| std::fs::read(dir.path().join(run).join("last.safetensors")).unwrap();
+    for (run, parts) in [("once", 2), ("again", 2), ("whole", 1)] {
+        train(&with(parts), &dataset, dir.path().join(run)).unwrap();
+    }
+    train_with_stops(&with(2), &dataset, &dir.path().join("stopped"), &[1, 3]);
+    assert!(weights("once") == weights("again") && weights("once") == weights("stopped"));
+    assert!(weights("once") != weights("whole"));
+}
+
 /// Muon's state is saved and read back too, and it is another way to learn than AdamW's.
 #[test]
 fn muon_stops_resumes_and_repeats_to_equal_bits() {

@@ -11,7 +11,7 @@ pub(crate) mod avx512;
 pub(crate) mod portable;
 mod widest;
 
-pub use widest::{Portable, widest};
+pub use widest::{Portable, at_each_width, widest};
 
 /// A vector of `LANES` 32-bit floats and the few operations that the kernels need.
 ///

@@ -28,28 +28,61 @@ pub trait Portable {
 /// assert_eq!(values, [2, 4, 6]);
 /// ```
 pub fn widest<W: Portable>(work: W) -> W::Output {
+    match Level::found().last() {
+        Some(level) => level.run(work),
+        None => work.run(),
+    }
+}
+
+/// Runs what `make` makes for the baseline and then for each kind of wider vectors that this machine has: so that tests can see all do the same.
+pub fn at_each_width<W: Portable>(mut make: impl FnMut() -> W) -> Vec<W::Output> {
+    let baseline = make().run();
+    std::iter::once(baseline).chain(Level::found().into_iter().map(|level| level.run(make()))).collect()
+}
+
+/// Instruction sets beyond the baseline, which this machine has: only [`Self::found`] makes one.
+#[derive(Clone, Copy)]
+enum Level {
     #[cfg(target_arch = "x86_64")]
-    {
+    Avx2,
+    #[cfg(target_arch = "x86_64")]
+    Avx512,
+}
+
+impl Level {
+    /// The narrow ones first.
+    fn found() -> Vec<Self> {
+        #[cfg(target_arch = "x86_64")]
+        {
+            macro_rules! all {
+                ($($feature:tt),*) => { $(is_x86_feature_detected!($feature))&&* };
+            }
+            let avx2 = all!("avx2", "bmi1", "bmi2", "lzcnt", "popcnt");
+            let avx512 = avx2 && all!("avx512f", "avx512bw", "avx512dq", "avx512vl", "avx512vbmi");
+            [(avx2, Self::Avx2), (avx512, Self::Avx512)].into_iter().filter_map(|(found, level)| found.then_some(level)).collect()
+        }
+        #[cfg(not(target_arch = "x86_64"))]
+        Vec::new()
+    }
+
+    fn run<W: Portable>(self, work: W) -> W::Output {
+        #[cfg(target_arch = "x86_64")]
         #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx512vbmi,avx2,bmi1,bmi2,lzcnt,popcnt")]
         fn avx512<W: Portable>(work: W) -> W::Output {
             work.run()
         }
+        #[cfg(target_arch = "x86_64")]
         #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
         fn avx2<W: Portable>(work: W) -> W::Output {
             work.run()
         }
-        macro_rules! all {
-            ($($feature:tt),*) => { $(is_x86_feature_detected!($feature))&&* };
-        }
-        if all!("avx2", "bmi1", "bmi2", "lzcnt", "popcnt") {
-            return if all!("avx512f", "avx512bw", "avx512dq", "avx512vl", "avx512vbmi") {
-                // SAFETY: every instruction set that is enabled was just found on this machine.
-                unsafe { avx512(work) }
-            } else {
-                // SAFETY: as above.
-                unsafe { avx2(work) }
-            };
+        match self {
+            // SAFETY: `found` has seen every instruction set that is enabled on this machine.
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 => unsafe { avx2(work) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512 => unsafe { avx512(work) },
         }
     }
-    work.run()
 }

@@ -66,8 +66,10 @@ impl LossTerms {
         self.center + self.size + self.objectness + self.class + self.keypoints
     }
 
-    fn scaled_sum(all: &[Self], scale: f64) -> Self {
-        let sum = |part: fn(&Self) -> f64| all.iter().map(part).sum::<f64>() * scale;
+    /// The sum of several, each times its weight.
+    #[must_use]
+    pub fn weighted_sum(all: impl Iterator<Item = (Self, f64)> + Clone) -> Self {
+        let sum = |part: fn(&Self) -> f64| all.clone().map(|(terms, weight)| part(&terms) * weight).sum();
         Self {
             center: sum(|t| t.center),
             size: sum(|t| t.size),
@@ -118,7 +120,7 @@ impl Loss {
                 Ok(terms)
             })
             .collect::<Result<_, YoloError>>()?;
-        Ok(LossOutput { terms: LossTerms::scaled_sum(&terms, f64::from(share)), gradients })
+        Ok(LossOutput { terms: LossTerms::weighted_sum(terms.iter().map(|t| (*t, f64::from(share)))), gradients })
     }
 }
 

@@ -118,7 +118,7 @@ enum What {
         #[arg(long, value_name = "DIR")]
         out: Option<PathBuf>,
     },
-    /// Deals the images anew to train, val and test; a photo stays in one of them
+    /// Deals the images anew to train, val and test; those of one photo, of one video or nearly the same stay together
     #[command(after_help = example(SPLIT))]
     Split {
         /// The dataset's folder, in any form

@@ -242,7 +242,7 @@ mod tests {
         };
         let truths: Vec<Vec<Truth>> = (0..batch / 2).map(|_| truth()).collect();
         let request = Request { step: 0, input: Input { net, view: View::Whole, fraction: 0.0 } };
-        Batch { request, sources: vec![vec![0]; batch], images: half.repeat(2), truths: truths.repeat(2) }
+        Batch { request, sources: vec![vec![0]; batch], images: half.repeat(2), truths: [truths.clone(), truths].concat() }
     }
 
     /// Halves that are the same have the whole's statistics, loss and gradient: a step in two parts is the step in one.

@@ -137,9 +137,15 @@ impl Norm {
             return;
         }
         for (state, seen) in [(&self.mean, seen.mean), (&self.variance, seen.variance)] {
-            state.update((state.value_sync() * (1.0 - self.momentum) + seen.detach() * self.momentum).detach());
+            set(state, (state.value_sync() * (1.0 - self.momentum) + seen.detach() * self.momentum).detach());
         }
     }
+}
+
+/// Gives a running average its value, for every thread: burn keeps what one thread has set from the others until that thread reads it.
+pub(crate) fn set(state: &RunningState<Tensor<1>>, value: Tensor<1>) {
+    state.update(value);
+    let _ = state.value_sync();
 }
 
 /// The residual unit: `x + expand(squeeze(x))`, both with batch norm.

@@ -117,7 +117,7 @@ impl Yolo {
                 let states: Vec<_> = norms(index).map(state).collect();
                 let sum = states.iter().map(RunningState::value_sync).reduce(|a, b| a + b);
                 let Some(mean) = sum.map(|sum| sum / copies.len() as f32) else { continue };
-                states.iter().for_each(|state| state.update(mean.clone()));
+                states.iter().for_each(|state| blocks::set(state, mean.clone()));
             }
         }
     }

@@ -255,6 +255,7 @@ mod tests {
             let mut trainer = Trainer::new(&config, &model, &weights, &Accelerator::Cpu).unwrap();
             let found = [0, 1].map(|step| trainer.step(twice(4), 1e-3, step).unwrap());
             let copies = trainer.replicas.iter().map(Yolo::weights).collect::<Vec<_>>();
+            assert!(allocator::is_kept(), "a step's buffers serve the next");
             assert!(copies.len() == batch_parts && copies.iter().all(|copy| *copy == copies[0]), "replicas agree");
             (found, trainer.weights())
         });

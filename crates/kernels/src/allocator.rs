@@ -43,6 +43,12 @@ pub fn keep() -> Keep {
     Keep(())
 }
 
+/// Whether freed blocks are kept at the moment.
+#[must_use]
+pub fn is_kept() -> bool {
+    KEEPERS.load(Ordering::Relaxed) > 0
+}
+
 impl Drop for Keep {
     fn drop(&mut self) {
         KEEPERS.fetch_sub(1, Ordering::Relaxed);
@@ -129,8 +135,7 @@ impl Pool {
             self.used.store(used, Ordering::Relaxed);
             let peak = self.peak.load(Ordering::Relaxed);
             // A quarter more than the peak: forward and backward passes want different classes, and should not hand theirs to and fro.
-            let kept = KEEPERS.load(Ordering::Relaxed) > 0;
-            if kept && used + self.held.load(Ordering::Relaxed) + bytes <= peak + peak / 4 {
+            if is_kept() && used + self.held.load(Ordering::Relaxed) + bytes <= peak + peak / 4 {
                 // SAFETY: the caller freed the block, which has at least 64 KiB.
                 unsafe { block.cast::<usize>().write(self.free[class].load(Ordering::Relaxed)) };
                 self.free[class].store(block as usize, Ordering::Relaxed);

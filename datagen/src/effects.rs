@@ -1,6 +1,7 @@
 //! What happens to light between the scene and the file: motion, defocus, shadows, exposure, noise.
 use crate::{canvas::Canvas, color::Linear, noise};
 use tcross_dataset::Rng;
+use tcross_kernels::simd::{Portable, widest};
 
 /// A blur as a list of shifts in whole pixels, each with its weight; the weights add up to one.
 #[derive(Debug, Clone, PartialEq)]
@@ -36,10 +37,28 @@ impl Blur {
 
     /// Blurs a plane of `width` by `height`; beyond its border the nearest pixel goes on.
     pub fn apply(&self, plane: &mut Vec<f32>, width: usize, height: usize) {
+        *plane = widest(Move { taps: &self.taps, plane, width, height });
+    }
+}
+
+/// What [`Blur::apply`] does.
+struct Move<'a> {
+    taps: &'a [(i32, i32, f32)],
+    plane: &'a [f32],
+    width: usize,
+    height: usize,
+}
+
+impl Portable for Move<'_> {
+    type Output = Vec<f32>;
+
+    #[inline(always)]
+    fn run(self) -> Vec<f32> {
+        let Self { taps, plane, width, height } = self;
         let mut out = vec![0f32; plane.len()];
         for y in 0..height {
             let row = &mut out[y * width..][..width];
-            for &(dx, dy, weight) in &self.taps {
+            for &(dx, dy, weight) in taps {
                 let from = (y as i32 - dy).clamp(0, height as i32 - 1) as usize;
                 let source = &plane[from * width..][..width];
                 let dx = dx.clamp(-(width as i32), width as i32);
@@ -51,7 +70,7 @@ impl Blur {
                 row[hi..].iter_mut().for_each(|o| *o += weight * source[width - 1]);
             }
         }
-        *plane = out;
+        out
     }
 }
 
@@ -64,36 +83,55 @@ pub fn soften(plane: &mut [f32], width: usize, height: usize, sigma: f32) {
     let raw: Vec<f32> = (0..=radius).map(|k| libm::expf(-((k * k) as f32) / (2.0 * sigma * sigma))).collect();
     let sum = raw[0] + 2.0 * raw[1..].iter().sum::<f32>();
     let weights: Vec<f32> = raw.iter().map(|w| w / sum).collect();
-    let mut padded = vec![0f32; width + 2 * radius];
-    for row in plane.chunks_exact_mut(width) {
-        padded[..radius].fill(row[0]);
-        padded[radius..radius + width].copy_from_slice(row);
-        padded[radius + width..].fill(row[width - 1]);
-        for (o, s) in row.iter_mut().zip(&padded[radius..]) {
-            *o = weights[0] * s;
-        }
-        for (k, w) in weights.iter().enumerate().skip(1) {
-            for ((o, a), b) in row.iter_mut().zip(&padded[radius - k..]).zip(&padded[radius + k..]) {
-                *o += w * (a + b);
+    widest(Soften { plane, width, height, weights: &weights });
+}
+
+/// What [`soften`] does: `weights` are those of the middle and of one side.
+struct Soften<'a> {
+    plane: &'a mut [f32],
+    width: usize,
+    height: usize,
+    weights: &'a [f32],
+}
+
+impl Portable for Soften<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { plane, width, height, weights } = self;
+        let radius = weights.len() - 1;
+        let mut padded = vec![0f32; width + 2 * radius];
+        for row in plane.chunks_exact_mut(width) {
+            padded[..radius].fill(row[0]);
+            padded[radius..radius + width].copy_from_slice(row);
+            padded[radius + width..].fill(row[width - 1]);
+            for (o, s) in row.iter_mut().zip(&padded[radius..]) {
+                *o = weights[0] * s;
+            }
+            for (k, w) in weights.iter().enumerate().skip(1) {
+                for ((o, a), b) in row.iter_mut().zip(&padded[radius - k..]).zip(&padded[radius + k..]) {
+                    *o += w * (a + b);
+                }
             }
         }
-    }
-    // Down the columns: a ring of the rows that are still needed, because rows are overwritten from the top.
-    let mut above: std::collections::VecDeque<Vec<f32>> = (0..=radius).map(|_| plane[..width].to_vec()).collect();
-    for y in 0..height {
-        let mut out = vec![0f32; width];
-        let current = plane[y * width..][..width].to_vec();
-        out.iter_mut().zip(&current).for_each(|(o, s)| *o = weights[0] * s);
-        above.push_back(current);
-        above.pop_front();
-        for (k, w) in weights.iter().enumerate().skip(1) {
-            let up = &above[radius - k];
-            let down = &plane[(y + k).min(height - 1) * width..][..width];
-            for ((o, a), b) in out.iter_mut().zip(up).zip(down) {
-                *o += w * (a + b);
+        // Down the columns: a ring of the rows that are still needed, because rows are overwritten from the top.
+        let mut above: std::collections::VecDeque<Vec<f32>> = (0..=radius).map(|_| plane[..width].to_vec()).collect();
+        for y in 0..height {
+            let mut out = vec![0f32; width];
+            let current = plane[y * width..][..width].to_vec();
+            out.iter_mut().zip(&current).for_each(|(o, s)| *o = weights[0] * s);
+            above.push_back(current);
+            above.pop_front();
+            for (k, w) in weights.iter().enumerate().skip(1) {
+                let up = &above[radius - k];
+                let down = &plane[(y + k).min(height - 1) * width..][..width];
+                for ((o, a), b) in out.iter_mut().zip(up).zip(down) {
+                    *o += w * (a + b);
+                }
             }
+            plane[y * width..][..width].copy_from_slice(&out);
         }
-        plane[y * width..][..width].copy_from_slice(&out);
     }
 }
 

@@ -20,7 +20,7 @@ pub enum Spectrum {
 
 /// A seamless tile of noise with mean 0 and deviation 1.
 #[derive(Debug)]
-pub struct Tile(Vec<f32>);
+pub struct Tile(Box<[f32; SIDE * SIDE]>);
 
 impl Tile {
     /// The tile of a spectrum; made once.
@@ -36,7 +36,7 @@ impl Tile {
     }
 
     fn new(weight: fn(i32) -> f32, stretch: usize) -> Self {
-        let mut values = vec![0f32; SIDE * SIDE];
+        let mut values = Box::new([0f32; SIDE * SIDE]);
         let mut rng = Rng::for_item(0, "datagen/noise-tile", stretch as u64 * 1000 + (weight(3) * 100.0) as u64);
         for octave in 1..8 {
             let (columns, rows) = (((1 << octave) / stretch).max(2), 1usize << octave);
@@ -61,7 +61,7 @@ impl Tile {
 
     /// The value at a place in texels, wrapped, nearest texel.
     #[must_use]
-    #[inline]
+    #[inline(always)]
     pub fn nearest(&self, x: f32, y: f32) -> f32 {
         let (i, j) = (floor(x) as usize & (SIDE - 1), floor(y) as usize & (SIDE - 1));
         self.0[j * SIDE + i]
@@ -69,7 +69,7 @@ impl Tile {
 
     /// The value at a place in texels, wrapped, bilinear.
     #[must_use]
-    #[inline]
+    #[inline(always)]
     pub fn smooth(&self, x: f32, y: f32) -> f32 {
         let (fx, fy) = (floor(x), floor(y));
         let (u, v) = (x - fx as f32, y - fy as f32);
@@ -103,7 +103,7 @@ pub struct Row([f32; SIDE + 1]);
 impl Row {
     /// The value at a place in texels, wrapped: what [`Tile::smooth`] says there, but for rounding.
     #[must_use]
-    #[inline]
+    #[inline(always)]
     pub fn smooth(&self, x: f32) -> f32 {
         let whole = floor(x);
         let i = whole as usize & (SIDE - 1);
@@ -113,7 +113,7 @@ impl Row {
 
 /// The largest whole number that is not above `v`; without SSE 4.1 the standard library's is a call.
 #[must_use]
-#[inline]
+#[inline(always)]
 pub fn floor(v: f32) -> i32 {
     let whole = v as i32;
     whole - i32::from(v < whole as f32)

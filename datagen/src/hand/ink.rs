@@ -4,6 +4,8 @@ use crate::{
     media::Nature,
     noise::{Spectrum, Tile},
 };
+use std::ops::Range;
+use tcross_kernels::simd::{Portable, widest};
 
 /// A point of a stroke's axis, in sides of the marker.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -58,7 +60,7 @@ impl Ink {
     /// is nearest to it, in radii. Over earlier strokes the density adds up.
     pub fn stroke(&mut self, touches: &[Touch], nature: &Nature, offset: [f32; 2]) {
         let segments = self.segments(touches);
-        let reach = |s: &Segment| s.radius[0].max(s.radius[1]) * (1.0 + 0.5 * nature.soft) + 1.0;
+        let reach = |s: &Segment| s.reach(nature.soft);
         let low = |k: usize| segments.iter().map(|s| s.from[k].min(s.to(k)) - reach(s)).fold(f32::INFINITY, f32::min).max(0.0) as usize;
         let high = |k: usize, limit: usize| {
             (segments.iter().map(|s| s.from[k].max(s.to(k)) + reach(s)).fold(0.0, f32::max).ceil() as usize + 1).min(limit)
@@ -68,43 +70,14 @@ impl Ink {
             return;
         }
         let (w, h) = (x1 - x0, y1 - y0);
-        // The squared distance in radii, and where on the stroke: the segment's number and how far along it.
-        let (mut nearest, mut places) = (vec![f32::INFINITY; w * h], vec![0f32; w * h]);
-        for (k, s) in segments.iter().enumerate().filter(|(_, s)| s.flow != [0.0, 0.0]) {
-            let (d, r) = (s.d, reach(s));
-            let span = |axis: usize, first: usize, n: usize| {
-                let (lo, hi) = (s.from[axis].min(s.to(axis)) - r - first as f32, s.from[axis].max(s.to(axis)) + r - first as f32);
-                (lo.max(0.0) as usize, (hi.max(0.0).ceil() as usize + 1).min(n))
-            };
-            let ((i0, i1), (j0, j1)) = (span(0, x0, w), span(1, y0, h));
-            if i0 >= i1 || j0 >= j1 {
-                continue;
-            }
-            self.mark((x0 + i0, x0 + i1), (y0 + j0, y0 + j1));
-            let inverse = 1.0 / (s.length * s.length);
-            let grows = s.radius[1] - s.radius[0];
-            for j in j0..j1 {
-                let py = (y0 + j) as f32 + 0.5 - s.from[1];
-                // No cell farther from the segment's line than its reach belongs to it.
-                let (mut left, mut right) = (i0, i1);
-                if d[1].abs() > 1e-3 {
-                    let (middle, half) = (py * d[0] / d[1] + s.from[0] - x0 as f32, r * s.length / d[1].abs());
-                    left = left.max((middle - half - 1.0).max(0.0) as usize);
-                    right = right.min((middle + half + 1.0).max(0.0) as usize);
-                }
-                let row = j * w + left.min(right)..j * w + right;
-                let first = (x0 + left) as f32 + 0.5 - s.from[0];
-                for (i, (near, place)) in nearest[row.clone()].iter_mut().zip(&mut places[row]).enumerate() {
-                    let px = first + i as f32;
-                    let t = ((px * d[0] + py * d[1]) * inverse).clamp(0.0, 1.0);
-                    let (ex, ey) = (px - t * d[0], py - t * d[1]);
-                    let radius = s.radius[0] + grows * t;
-                    let distance2 = (ex * ex + ey * ey) / (radius * radius);
-                    *place = if distance2 < *near { k as f32 + t } else { *place };
-                    *near = near.min(distance2);
-                }
+        let part = Part { x: x0, y: y0, width: w, height: h };
+        for s in segments.iter().filter(|s| s.flow != [0.0, 0.0]) {
+            let (columns, rows) = s.span(&part, reach(s));
+            if !columns.is_empty() && !rows.is_empty() {
+                self.mark((x0 + columns.start, x0 + columns.end), (y0 + rows.start, y0 + rows.end));
             }
         }
+        let (nearest, places) = widest(Nearest { segments: &segments, part, soft: nature.soft });
         let streaks = Tile::of(Spectrum::Pink);
         for j in 0..h {
             let row = &mut self.density[(y0 + j) * self.width + x0..][..w];
@@ -265,8 +238,84 @@ struct Segment {
 }
 
 impl Segment {
+    #[inline(always)]
     fn to(&self, k: usize) -> f32 {
         self.from[k] + self.d[k]
+    }
+
+    /// How far from its axis it may leave ink.
+    #[inline(always)]
+    fn reach(&self, soft: f32) -> f32 {
+        self.radius[0].max(self.radius[1]) * (1.0 + 0.5 * soft) + 1.0
+    }
+
+    /// Columns and rows of a part of the grid that it may touch; an end may lie before its start.
+    #[inline(always)]
+    fn span(&self, part: &Part, reach: f32) -> (Range<usize>, Range<usize>) {
+        let span = |axis: usize, first: usize, n: usize| {
+            let (a, b) = (self.from[axis], self.to(axis));
+            let (lo, hi) = (a.min(b) - reach - first as f32, a.max(b) + reach - first as f32);
+            lo.max(0.0) as usize..(hi.max(0.0).ceil() as usize + 1).min(n)
+        };
+        (span(0, part.x, part.width), span(1, part.y, part.height))
+    }
+}
+
+/// A rectangle of a grid's cells.
+#[derive(Clone, Copy)]
+struct Part {
+    x: usize,
+    y: usize,
+    width: usize,
+    height: usize,
+}
+
+/// For each cell of a part the segment nearest to it: the squared distance in radii (infinite where none reaches it), and where on the stroke,
+/// as the segment's number and how far along it.
+struct Nearest<'a> {
+    segments: &'a [Segment],
+    part: Part,
+    soft: f32,
+}
+
+impl Portable for Nearest<'_> {
+    type Output = (Vec<f32>, Vec<f32>);
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let Part { x: x0, y: y0, width: w, height: h } = self.part;
+        let (mut nearest, mut places) = (vec![f32::INFINITY; w * h], vec![0f32; w * h]);
+        for (k, s) in self.segments.iter().enumerate().filter(|(_, s)| s.flow != [0.0, 0.0]) {
+            let (d, r) = (s.d, s.reach(self.soft));
+            let (columns, rows) = s.span(&self.part, r);
+            if columns.is_empty() {
+                continue;
+            }
+            let inverse = 1.0 / (s.length * s.length);
+            let grows = s.radius[1] - s.radius[0];
+            for j in rows {
+                let py = (y0 + j) as f32 + 0.5 - s.from[1];
+                // No cell farther from the segment's line than its reach belongs to it.
+                let (mut left, mut right) = (columns.start, columns.end);
+                if d[1].abs() > 1e-3 {
+                    let (middle, half) = (py * d[0] / d[1] + s.from[0] - x0 as f32, r * s.length / d[1].abs());
+                    left = left.max((middle - half - 1.0).max(0.0) as usize);
+                    right = right.min((middle + half + 1.0).max(0.0) as usize);
+                }
+                let row = j * w + left.min(right)..j * w + right;
+                let first = (x0 + left) as f32 + 0.5 - s.from[0];
+                for (i, (near, place)) in nearest[row.clone()].iter_mut().zip(&mut places[row]).enumerate() {
+                    let px = first + i as f32;
+                    let t = ((px * d[0] + py * d[1]) * inverse).clamp(0.0, 1.0);
+                    let (ex, ey) = (px - t * d[0], py - t * d[1]);
+                    let radius = s.radius[0] + grows * t;
+                    let distance2 = (ex * ex + ey * ey) / (radius * radius);
+                    *place = if distance2 < *near { k as f32 + t } else { *place };
+                    *near = near.min(distance2);
+                }
+            }
+        }
+        (nearest, places)
     }
 }
 

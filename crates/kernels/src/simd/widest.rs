@@ -1,4 +1,4 @@
-//! Safe code, compiled anew for the widest integer vectors that the machine has.
+//! Safe code, compiled anew for the widest vectors that the machine has.
 
 /// Plain safe code without any instruction set in it: loops over slices and arrays that the compiler turns into vectors.
 pub trait Portable {
@@ -28,7 +28,7 @@ pub trait Portable {
 /// assert_eq!(values, [2, 4, 6]);
 /// ```
 pub fn widest<W: Portable>(work: W) -> W::Output {
-    match Level::found().last() {
+    match Level::found().next_back() {
         Some(level) => level.run(work),
         None => work.run(),
     }
@@ -37,7 +37,7 @@ pub fn widest<W: Portable>(work: W) -> W::Output {
 /// Runs what `make` makes for the baseline and then for each kind of wider vectors that this machine has: so that tests can see all do the same.
 pub fn at_each_width<W: Portable>(mut make: impl FnMut() -> W) -> Vec<W::Output> {
     let baseline = make().run();
-    std::iter::once(baseline).chain(Level::found().into_iter().map(|level| level.run(make()))).collect()
+    std::iter::once(baseline).chain(Level::found().map(|level| level.run(make()))).collect()
 }
 
 /// Instruction sets beyond the baseline, which this machine has: only [`Self::found`] makes one.
@@ -51,18 +51,25 @@ enum Level {
 
 impl Level {
     /// The narrow ones first.
-    fn found() -> Vec<Self> {
+    fn found() -> impl DoubleEndedIterator<Item = Self> {
         #[cfg(target_arch = "x86_64")]
-        {
-            macro_rules! all {
-                ($($feature:tt),*) => { $(is_x86_feature_detected!($feature))&&* };
-            }
-            let avx2 = all!("avx2", "bmi1", "bmi2", "lzcnt", "popcnt");
-            let avx512 = avx2 && all!("avx512f", "avx512bw", "avx512dq", "avx512vl", "avx512vbmi");
-            [(avx2, Self::Avx2), (avx512, Self::Avx512)].into_iter().filter_map(|(found, level)| found.then_some(level)).collect()
-        }
+        let all = [Self::Avx2, Self::Avx512];
         #[cfg(not(target_arch = "x86_64"))]
-        Vec::new()
+        let all: [Self; 0] = [];
+        all.into_iter().filter(|level| level.is_here())
+    }
+
+    fn is_here(self) -> bool {
+        #[cfg(target_arch = "x86_64")]
+        macro_rules! all {
+            ($($feature:tt),*) => { $(is_x86_feature_detected!($feature))&&* };
+        }
+        match self {
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 => all!("avx2", "bmi1", "bmi2", "lzcnt", "popcnt"),
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512 => Self::Avx2.is_here() && all!("avx512f", "avx512bw", "avx512dq", "avx512vl", "avx512vbmi"),
+        }
     }
 
     fn run<W: Portable>(self, work: W) -> W::Output {

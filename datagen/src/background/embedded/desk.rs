@@ -36,7 +36,7 @@ fn paper(scene: &mut Scene, rng: &mut Rng) {
     let (outline, center, along, across) = rectangle(scene, long * rng.uniform(0.6, 0.9), long, rng);
     shadow(scene, &outline, 4.0, rng);
     let sheet = Material::of(color::from_hsv(rng.uniform(0.0, 360.0), rng.uniform(0.0, 0.15), rng.uniform(0.75, 1.0)), rng).plain();
-    scene.fill(&outline, move |x, y| (sheet.at(x, y), 1.0));
+    scene.fill_of(&outline, sheet, |x, y| ([x, y], 1.0));
     // Lines of writing.
     let ink = color::from_hsv(rng.uniform(200.0, 260.0), rng.uniform(0.0, 0.9), rng.uniform(0.05, 0.4));
     let rows = rng.int(0, 14);
@@ -60,7 +60,7 @@ fn book(scene: &mut Scene, rng: &mut Rng) {
     let (outline, center, along, across) = rectangle(scene, long * rng.uniform(0.5, 0.9), long, rng);
     shadow(scene, &outline, 8.0, rng);
     let cloth = if rng.chance(0.7) { Material::saturated(rng) } else { Material::muted(rng) };
-    scene.fill(&outline, move |x, y| (cloth.at(x, y), 1.0));
+    scene.fill_of(&outline, cloth, |x, y| ([x, y], 1.0));
     let at = |u: f32, v: f32| [center[0] + along[0] * u + across[0] * v, center[1] + along[1] * u + across[1] * v];
     for _ in 0..rng.int(0, 3) {
         let (u, v) = (rng.uniform(-0.8, 0.3) as f32, rng.uniform(-0.8, 0.3) as f32);
@@ -92,7 +92,7 @@ fn round(scene: &mut Scene, rng: &mut Rng) {
     let squash = rng.uniform(0.6, 1.0) as f32;
     let outer = polygon(center, r, r * squash, 24, 0.0, rng);
     shadow(scene, &outer, r * 0.2, rng);
-    scene.fill(&outer, move |x, y| (color::scaled(material.at(x, y), 1.1 - 0.5 * (y - center[1]) / r), 1.0));
+    scene.fill_of(&outer, material, move |x, y| ([x, y], 1.1 - 0.5 * (y - center[1]) / r));
     if rng.chance(0.5) {
         let inner = color::muted(rng);
         let outline = polygon(center, r * 0.8, r * 0.8 * squash, 24, 0.0, rng);

@@ -1,7 +1,6 @@
 //! Dead leaves: patches of all sizes (density of radius r as r^-3) that hide one another, the model that shares its statistics with
 //! photographs of almost anything.
 use super::{Material, Scene, polygon};
-use crate::color;
 use tcross_dataset::Rng;
 
 pub(super) fn paint(scene: &mut Scene, rng: &mut Rng) {
@@ -26,16 +25,15 @@ pub(super) fn paint(scene: &mut Scene, rng: &mut Rng) {
         let shade = rng.uniform(0.6, 1.3) as f32;
         let slope = [rng.uniform(-0.4, 0.4) as f32 / r as f32, rng.uniform(-0.4, 0.4) as f32 / r as f32];
         shadow(scene, &outline, r as f32 * 0.12, rng);
-        scene.fill(&outline, move |x, y| {
-            let light = shade * (1.0 + slope[0] * (x - center[0]) + slope[1] * (y - center[1])).max(0.2);
-            (color::scaled(material.at(x, y), light), 1.0)
+        scene.fill_of(&outline, material, move |x, y| {
+            ([x, y], shade * (1.0 + slope[0] * (x - center[0]) + slope[1] * (y - center[1])).max(0.2))
         });
     }
 }
 
 /// Covers everything with a material.
 pub(super) fn cover(scene: &mut Scene, material: Material) {
-    scene.fill_rows(0.0, scene.height as f32, move |x, y| (material.at(x, y), 1.0));
+    scene.fill_of(&scene.rows(0.0, scene.height as f32), material, |x, y| ([x, y], 1.0));
 }
 
 /// Darkens a moved copy of an outline.

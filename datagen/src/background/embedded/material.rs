@@ -78,41 +78,76 @@ impl Material {
     /// The colour at a place.
     #[inline]
     pub(crate) fn at(&self, x: f32, y: f32) -> Linear {
-        let (u, v) = (x * self.turn[0] + y * self.turn[1], y * self.turn[0] - x * self.turn[1]);
-        let (tu, tv) = (u * self.scale + self.offset[0], v * self.scale + self.offset[1]);
-        let noise = if self.scale < 0.9 { self.tile.smooth(tu, tv) } else { self.tile.nearest(tu, tv) };
-        let share = match self.pattern {
-            Pattern::Plain => (noise * 0.2).clamp(0.0, 1.0),
-            Pattern::Stripes => step(wrap(x / self.period)),
-            Pattern::Checks => {
-                let (a, b) = (wrap(x / self.period) < 0.5, wrap(y / self.period) < 0.5);
-                f32::from(u8::from(a != b))
+        self.at_each(&[x], &[y]).map(|[v]| v)
+    }
+
+    /// The colours at some places: red, green, blue. In plain loops, which the compiler turns into vectors, and all in line with them, so that
+    /// the caller decides for which.
+    #[inline(always)]
+    pub(crate) fn at_each<const N: usize>(&self, x: &[f32; N], y: &[f32; N]) -> [[f32; N]; 3] {
+        let [cos, sin] = self.turn;
+        let (mut u, mut v) = ([0f32; N], [0f32; N]);
+        for k in 0..N {
+            u[k] = (x[k] * cos + y[k] * sin) * self.scale + self.offset[0];
+            v[k] = (y[k] * cos - x[k] * sin) * self.scale + self.offset[1];
+        }
+        let mut noise = [0f32; N];
+        if self.scale < 0.9 {
+            for k in 0..N {
+                noise[k] = self.tile.smooth(u[k], v[k]);
             }
-            Pattern::Bricks => {
-                let row = floor(y / self.period) as f32;
-                let (a, b) = (wrap(x / self.period * 0.45 + row * 0.5), wrap(y / self.period));
-                f32::from(u8::from(a < self.joint * 0.5 || b < self.joint))
+        } else {
+            for k in 0..N {
+                noise[k] = self.tile.nearest(u[k], v[k]);
             }
-            Pattern::Planks => {
-                let column = floor(x / self.period) as f32;
-                let edge = f32::from(u8::from(wrap(x / self.period) < self.joint * 0.4));
+        }
+        let mut share = [0f32; N];
+        // The pattern is chosen once for all of them.
+        macro_rules! each {
+            ($at:ident => $value:expr) => {
+                for $at in 0..N {
+                    share[$at] = $value;
+                }
+            };
+        }
+        let (period, joint) = (self.period, self.joint);
+        match self.pattern {
+            Pattern::Plain => each!(k => (noise[k] * 0.2).clamp(0.0, 1.0)),
+            Pattern::Stripes => each!(k => sure(wrap(x[k] / period) < 0.5)),
+            Pattern::Checks => each!(k => sure((wrap(x[k] / period) < 0.5) != (wrap(y[k] / period) < 0.5))),
+            Pattern::Bricks => each!(k => {
+                let row = floor(y[k] / period) as f32;
+                sure(wrap(x[k] / period * 0.45 + row * 0.5) < joint * 0.5 || wrap(y[k] / period) < joint)
+            }),
+            Pattern::Planks => each!(k => {
+                let column = floor(x[k] / period) as f32;
+                let edge = sure(wrap(x[k] / period) < joint * 0.4);
                 // Each plank has its own shade.
                 edge.max(0.5 + 0.5 * self.tile.nearest(column * 37.0, 11.0).clamp(-1.0, 1.0) * 0.7)
+            }),
+            Pattern::Dots => each!(k => {
+                let (a, b) = (wrap(x[k] / period) - 0.5, wrap(y[k] / period) - 0.5);
+                sure(a * a + b * b < 0.07)
+            }),
+        }
+        let mut colors = [[0f32; N]; 3];
+        for (c, color) in colors.iter_mut().enumerate() {
+            let (base, way) = (self.base[c], self.second[c] - self.base[c]);
+            for k in 0..N {
+                color[k] = (base + way * share[k]) * (1.0 + self.grain * noise[k]).max(0.1);
             }
-            Pattern::Dots => {
-                let (a, b) = (wrap(x / self.period) - 0.5, wrap(y / self.period) - 0.5);
-                f32::from(u8::from(a * a + b * b < 0.07))
-            }
-        };
-        let shade = (1.0 + self.grain * noise).max(0.1);
-        std::array::from_fn(|c| (self.base[c] + (self.second[c] - self.base[c]) * share) * shade)
+        }
+        colors
     }
 }
 
+#[inline(always)]
 fn wrap(v: f32) -> f32 {
     v - floor(v) as f32
 }
 
-fn step(v: f32) -> f32 {
-    f32::from(u8::from(v < 0.5))
+/// 1 where it holds.
+#[inline(always)]
+fn sure(holds: bool) -> f32 {
+    f32::from(u8::from(holds))
 }

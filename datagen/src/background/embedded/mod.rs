@@ -8,6 +8,7 @@ use crate::{
     stickers,
 };
 use tcross_dataset::Rng;
+use tcross_kernels::simd::{Portable, widest};
 
 mod desk;
 mod leaves;
@@ -57,8 +58,7 @@ fn light(canvas: &mut Canvas, rng: &mut Rng) {
     let vignette = rng.uniform(0.0, 0.5) as f32;
     let exposure = rng.log_uniform(0.45, 1.6) as f32;
     let cast = color::from_hsv(rng.uniform(0.0, 360.0), rng.uniform(0.0, 0.18), 1.0);
-    // Light changes slowly: it is computed at every eighth pixel and interpolated.
-    const STEP: usize = 8;
+    // Light changes slowly.
     let columns = width.div_ceil(STEP) + 2;
     let at = |i: usize, j: usize| {
         let (x, y) = ((i * STEP) as f32, (j * STEP) as f32);
@@ -68,18 +68,38 @@ fn light(canvas: &mut Canvas, rng: &mut Rng) {
         exposure * slow.max(0.15) * (1.0 - vignette * (u * u + v * v))
     };
     let lattice = |j: usize| (0..columns).map(|i| at(i, j)).collect::<Vec<f32>>();
-    for (j, first) in (0..height).step_by(STEP).enumerate() {
-        let (upper, lower) = (lattice(j), lattice(j + 1));
-        for y in first..(first + STEP).min(height) {
-            let v = (y - first) as f32 / STEP as f32;
-            for (plane, gain) in canvas.planes.iter_mut().zip(cast) {
-                for (k, cell) in plane[y * width..][..width].chunks_mut(STEP).enumerate() {
-                    let left = upper[k] + (lower[k] - upper[k]) * v;
-                    let right = upper[k + 1] + (lower[k + 1] - upper[k + 1]) * v;
-                    for (m, value) in cell.iter_mut().enumerate() {
-                        *value *= (left + (right - left) * (m as f32 / STEP as f32)) * gain;
-                    }
+    let nodes: Vec<Vec<f32>> = (0..=height.div_ceil(STEP)).map(lattice).collect();
+    widest(Lit { canvas, nodes: &nodes, cast });
+}
+
+/// Pixels between two places at which the light is known.
+const STEP: usize = 8;
+
+/// Multiplies a picture by the light of every [`STEP`]th pixel of every [`STEP`]th row, interpolated, and by a colour.
+struct Lit<'a> {
+    canvas: &'a mut Canvas,
+    nodes: &'a [Vec<f32>],
+    cast: color::Linear,
+}
+
+impl Portable for Lit<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let (width, height) = (self.canvas.width, self.canvas.height);
+        let mut row = vec![0f32; width.next_multiple_of(STEP)];
+        for y in 0..height {
+            let (upper, lower, v) = (&self.nodes[y / STEP], &self.nodes[y / STEP + 1], (y % STEP) as f32 / STEP as f32);
+            for (k, cell) in row.as_chunks_mut::<STEP>().0.iter_mut().enumerate() {
+                let left = upper[k] + (lower[k] - upper[k]) * v;
+                let right = upper[k + 1] + (lower[k + 1] - upper[k + 1]) * v;
+                for (m, light) in cell.iter_mut().enumerate() {
+                    *light = left + (right - left) * (m as f32 / STEP as f32);
                 }
+            }
+            for (plane, gain) in self.canvas.planes.iter_mut().zip(self.cast) {
+                plane[y * width..][..width].iter_mut().zip(&row).for_each(|(value, light)| *value *= light * gain);
             }
         }
     }

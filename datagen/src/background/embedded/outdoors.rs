@@ -28,7 +28,7 @@ pub(super) fn paint(scene: &mut Scene, rng: &mut Rng) {
         let r = near * rng.uniform(0.03, 0.12) as f32 * w;
         let material = if rng.chance(0.5) { Material::saturated(rng) } else { Material::muted(rng) };
         let outline = polygon(center, r, r * rng.uniform(0.4, 1.6) as f32, [4, 6, 12][rng.index(3)], 0.15, rng);
-        scene.fill(&outline, move |x, y| (color::scaled(material.at(x, y), 1.0 - 0.5 * (y - center[1]) / r), 1.0));
+        scene.fill_of(&outline, material, move |x, y| ([x, y], 1.0 - 0.5 * (y - center[1]) / r));
     }
 }
 
@@ -38,7 +38,7 @@ fn sky(scene: &mut Scene, horizon: f32, rng: &mut Rng) {
     let clouds = rng.uniform(0.0, 0.6) as f32;
     let (ox, oy, scale) = (rng.uniform(0.0, 256.0) as f32, rng.uniform(0.0, 256.0) as f32, rng.uniform(0.1, 0.5) as f32);
     let tile = Tile::of(Spectrum::Soft);
-    scene.fill_rows(0.0, horizon.floor() + 1.0, move |x, y| {
+    scene.fill(&scene.rows(0.0, horizon.floor() + 1.0), move |x, y| {
         let clear = color::mix(zenith, low, y / horizon.max(1.0));
         let cloud = (tile.smooth(ox + x * scale, oy + y * scale * 2.0) * 0.6).clamp(0.0, 1.0) * clouds;
         (color::mix(clear, [0.95; 3], cloud), 1.0)
@@ -68,10 +68,10 @@ fn ground(scene: &mut Scene, horizon: f32, rng: &mut Rng) {
     let material = Material::of(base, rng);
     let height = scene.height as f32;
     let middle = scene.width as f32 * rng.uniform(0.2, 0.8) as f32;
-    scene.fill_rows(horizon.floor(), height, move |x, y| {
+    scene.fill_of(&scene.rows(horizon.floor(), height), material, move |x, y| {
         // A plane below the eye: depth runs as one over the distance from the horizon.
         let depth = height * 0.35 / (y - horizon + 2.0);
-        (material.at((x - middle) * depth, depth * 160.0), 1.0)
+        ([(x - middle) * depth, depth * 160.0], 1.0)
     });
 }
 
@@ -81,10 +81,10 @@ fn house(scene: &mut Scene, horizon: f32, rng: &mut Rng) {
     let foot = horizon + rng.uniform(0.0, 0.1) as f32 * h;
     let (left, right) = (foot - high, foot - high * rng.uniform(0.8, 1.2) as f32);
     let material = if rng.chance(0.25) { Material::saturated(rng) } else { Material::muted(rng) };
-    scene.fill(&[[x, left], [x + wide, right], [x + wide, foot], [x, foot]], move |px, py| (material.at(px - x, py), 1.0));
+    scene.fill_of(&[[x, left], [x + wide, right], [x + wide, foot], [x, foot]], material, move |px, py| ([px - x, py], 1.0));
     if rng.chance(0.5) {
         let roof = Material::of(color::from_hsv(rng.uniform(0.0, 40.0), rng.uniform(0.2, 0.8), rng.uniform(0.2, 0.6)), rng).plain();
-        scene.fill(&[[x, left], [x + wide / 2.0, left - high * 0.3], [x + wide, right]], move |px, py| (roof.at(px, py), 1.0));
+        scene.fill_of(&[[x, left], [x + wide / 2.0, left - high * 0.3], [x + wide, right]], roof, |px, py| ([px, py], 1.0));
     }
     let (columns, rows) = (rng.int(2, 7) as f32, rng.int(1, 6) as f32);
     let pane = color::from_hsv(rng.uniform(0.0, 360.0), rng.uniform(0.0, 0.4), rng.uniform(0.1, 0.9));
@@ -109,9 +109,8 @@ fn tree(scene: &mut Scene, horizon: f32, rng: &mut Rng) {
     let (x, crown) = (rng.uniform(0.0, 1.0) as f32 * w, near * rng.uniform(0.08, 0.3) as f32 * w);
     let bark = Material::of(color::from_hsv(30.0, 0.3, 0.3), rng).plain();
     let thick = crown * 0.08;
-    scene.fill(&[[x - thick, foot - crown], [x + thick, foot - crown], [x + thick, foot], [x - thick, foot]], move |px, py| {
-        (bark.at(px, py), 1.0)
-    });
+    let trunk = [[x - thick, foot - crown], [x + thick, foot - crown], [x + thick, foot], [x - thick, foot]];
+    scene.fill_of(&trunk, bark, |px, py| ([px, py], 1.0));
     let leaf = color::from_hsv(rng.uniform(40.0, 140.0), rng.uniform(0.3, 0.8), rng.uniform(0.2, 0.6));
     let tile = Tile::of(Spectrum::Rough);
     for _ in 0..rng.int(4, 12) {

@@ -9,11 +9,10 @@ type Quad = [[f32; 2]; 4];
 fn plane(scene: &mut Scene, quad: &Quad, material: &Material, size: [f32; 2], shade: [f32; 2]) {
     let Some(back) = Homography::from_unit_square(&quad.map(|p| p.map(f64::from))).and_then(|h| h.inverse()) else { return };
     let m = back.0.map(|v| v as f32);
-    let material = material.clone();
-    scene.fill(quad, move |x, y| {
+    scene.fill_of(quad, material.clone(), move |x, y| {
         let w = 1.0 / (m[6] * x + m[7] * y + m[8]);
         let (u, v) = ((m[0] * x + m[1] * y + m[2]) * w, (m[3] * x + m[4] * y + m[5]) * w);
-        (color::scaled(material.at(u * size[0], v * size[1]), shade[0] + (shade[1] - shade[0]) * v), 1.0)
+        ([u * size[0], v * size[1]], shade[0] + (shade[1] - shade[0]) * v)
     });
 }
 
@@ -134,7 +133,7 @@ fn stand(scene: &mut Scene, horizon: f32, rng: &mut Rng) {
     if rng.chance(0.3) {
         let outline = polygon([x, foot - high / 2.0], wide / 2.0, high / 2.0, 14, 0.2, rng);
         shadow(scene, &outline, wide * 0.1, rng);
-        scene.fill(&outline, move |px, py| (color::scaled(material.at(px, py), 0.7 + 0.6 * (px - x + wide) / (2.0 * wide)), 1.0));
+        scene.fill_of(&outline, material, move |px, py| ([px, py], 0.7 + 0.6 * (px - x + wide) / (2.0 * wide)));
         return;
     }
     let deep = rng.uniform(-0.5, 0.5) as f32 * wide;

@@ -29,7 +29,7 @@ run scratch
 run all-learning --set train.init="$weights"
 
 {
-    echo "| start | CPU min a 1000 steps | CPU min to recall 0.5 | 0.7 | 0.8 | 0.9 | best recall | best AP |"
+    echo "| start | CPU min a 1000 steps | CPU min to recall 0.3 | 0.4 | 0.5 | 0.6 | best recall | best AP |"
     echo "|---|--:|--:|--:|--:|--:|--:|--:|"
     for name in scratch frozen all-learning; do
         awk -F, -v name="$name" -v cpu="$(cat "$out/$name.cpu")" '
@@ -38,7 +38,7 @@ run all-learning --set train.init="$weights"
             END {
                 a = step[rows]
                 line = sprintf("| %s | %.2f", name, cpu / 60 / a * 1000)
-                split("0.5 0.7 0.8 0.9", wanted, " ")
+                split("0.3 0.4 0.5 0.6", wanted, " ")
                 for (w = 1; w <= 4; w++) {
                     cell = "not reached"
                     for (k = rows; k >= 1; k--) if (recall[k] >= wanted[w]) cell = sprintf("%.1f", cpu / 60 / a * step[k])

@@ -69,20 +69,20 @@ fn light(canvas: &mut Canvas, rng: &mut Rng) {
     };
     let lattice = |j: usize| (0..columns).map(|i| at(i, j)).collect::<Vec<f32>>();
     let nodes: Vec<Vec<f32>> = (0..=height.div_ceil(STEP)).map(lattice).collect();
-    widest(Lit { canvas, nodes: &nodes, cast });
+    widest(Illuminate { canvas, nodes: &nodes, cast });
 }
 
 /// Pixels between two places at which the light is known.
 const STEP: usize = 8;
 
 /// Multiplies a picture by the light of every [`STEP`]th pixel of every [`STEP`]th row, interpolated, and by a colour.
-struct Lit<'a> {
+struct Illuminate<'a> {
     canvas: &'a mut Canvas,
     nodes: &'a [Vec<f32>],
     cast: color::Linear,
 }
 
-impl Portable for Lit<'_> {
+impl Portable for Illuminate<'_> {
     type Output = ();
 
     #[inline(always)]

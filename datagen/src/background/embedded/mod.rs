@@ -58,7 +58,7 @@ fn light(canvas: &mut Canvas, rng: &mut Rng) {
     let vignette = rng.uniform(0.0, 0.5) as f32;
     let exposure = rng.log_uniform(0.45, 1.6) as f32;
     let cast = color::from_hsv(rng.uniform(0.0, 360.0), rng.uniform(0.0, 0.18), 1.0);
-    // Light changes slowly.
+    // Light changes slowly: it is computed at every few pixels and interpolated.
     let columns = width.div_ceil(STEP) + 2;
     let at = |i: usize, j: usize| {
         let (x, y) = ((i * STEP) as f32, (j * STEP) as f32);

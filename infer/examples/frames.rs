@@ -13,7 +13,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (Some(model), Some(images)) = (args.first(), args.get(1)) else { return Err(USAGE.into()) };
     let frames: usize = value("--frames").map_or(Ok(1000), |v| v.parse())?;
     let config = Config { score: value("--score").map_or(Ok(0.3), |v| v.parse())?, ..Config::default() };
-    let mut detector = Detector::load(model)?.configured(&config);
+    let mut detector = config.configure(Detector::load(model)?);
     let source = Source::open(&[images], None)?;
     let pictures = source.items.iter().take(64).map(|i| read_image(&i.path)).collect::<Result<Vec<_>, _>>()?;
     let (mut network, mut poses) = (Times::default(), Times::default());

@@ -9,11 +9,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let input = video::Input::parse(input).ok_or("no video's ending and no camera")?;
     let mut config = Config { pose: true, score: 0.3, ..Config::default() };
     config.smoothing.on = true;
-    let mut boxes = if model.ends_with(".jsonl") {
-        Boxes::given(model)?
-    } else {
-        Boxes::Detector(Box::new(Detector::load(model)?.configured(&config)))
-    };
+    let mut boxes =
+        if model.ends_with(".jsonl") { Boxes::given(model)? } else { Boxes::Detector(Box::new(config.configure(Detector::load(model)?))) };
     let options = match args.get(2).map(std::path::PathBuf::from) {
         Some(dir) => RunOptions { out: Some(dir.join("detections.jsonl")), overlay: Some(dir), ..RunOptions::default() },
         None => RunOptions::default(),

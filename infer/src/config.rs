@@ -1,6 +1,7 @@
 //! The `[infer]` section.
 use crate::{error::InferError, pose, video::smooth};
 use serde::{Deserialize, Serialize};
+use tcross_yolo::{DetectOptions, Detector};
 
 /// How detections are made from images.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
@@ -12,6 +13,8 @@ pub struct Config {
     pub nms: f64,
     /// At most this many detections an image.
     pub most: usize,
+    /// Whether a model's second stage, where it has one, looks at each claim again.
+    pub refine: bool,
     /// Whether poses are recovered.
     pub pose: bool,
     /// Detections whose pose is refused are dropped: the pose as a filter of false detections.
@@ -30,6 +33,7 @@ impl Default for Config {
             score: 0.05,
             nms: 0.45,
             most: 200,
+            refine: true,
             pose: false,
             pose_filter: false,
             overlay_score: 0.3,
@@ -66,6 +70,14 @@ impl Config {
             return Err(InferError::Value { key: "infer.recovery.min_side_px", found, allowed: "a number of pixels, 1 or more" });
         }
         Ok(())
+    }
+
+    /// A detector that looks as this configuration says and keeps what it asks for.
+    #[must_use]
+    pub fn configure(&self, mut detector: Detector) -> Detector {
+        detector.options = DetectOptions { score: self.score as f32, nms_iou: self.nms, most: self.most, ..detector.options };
+        detector.refiner = detector.refiner.filter(|_| self.refine);
+        detector
     }
 }
 

@@ -10,7 +10,6 @@
 //! ```
 pub mod camera;
 pub mod config;
-pub mod detector;
 pub mod error;
 pub mod lettering;
 pub mod overlay;
@@ -21,8 +20,8 @@ pub mod video;
 
 pub use camera::{Camera, Lens};
 pub use config::Config;
-pub use detector::Detector;
 pub use error::InferError;
 pub use run::{Boxes, Progress, RunOptions, RunReport, run};
 pub use source::{Source, read_image};
+pub use tcross_yolo::Detector;
 pub use video::VideoReport;

@@ -2,7 +2,6 @@
 use crate::{
     camera::Lens,
     config::Config,
-    detector::Detector,
     error::InferError,
     overlay, pose,
     source::{Source, read_image},
@@ -22,6 +21,7 @@ use tcross_dataset::{
     detections::{self, StageTimes},
     files,
 };
+use tcross_yolo::Detector;
 
 /// What claims the boxes.
 pub enum Boxes {

@@ -32,6 +32,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
         Progress::Validating { images } => eprintln!("validating on {images} images"),
         Progress::Epoch { row, best } => eprintln!("epoch {:.2}{}: {:?}", row.epoch, if best { " (best)" } else { "" }, row.columns()),
+        Progress::SecondStage { words, .. } => eprintln!("second stage: {words}"),
+        Progress::Claims { .. } | Progress::Refined(_) => {}
         Progress::Warning(message) => eprintln!("warning: {message}"),
     })?;
     eprintln!("{:?} after {} steps; best {:?}", summary.end, summary.steps, summary.best);

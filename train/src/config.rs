@@ -1,5 +1,5 @@
 //! The `[train]` section.
-use crate::error::TrainError;
+use crate::{error::TrainError, refine::Refine};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use tcross_yolo::LossKind;
@@ -53,6 +53,8 @@ pub struct Config {
     pub augment: Augment,
     /// Validation and the choice of the best weights.
     pub validate: Validate,
+    /// A second stage, which looks at each claim of the trained detector again.
+    pub refine: Refine,
     /// Shapes in the order of their class numbers; empty: every marker is class 0.
     pub classes: Vec<String>,
     /// Share of images without a marker in an epoch, 0..1; absent: as in the dataset.
@@ -307,6 +309,7 @@ impl Default for Config {
             schedule: Schedule::default(),
             augment: Augment::default(),
             validate: Validate::default(),
+            refine: Refine::default(),
             classes: Vec::new(),
             empty_ratio: None,
             multi_scale: Vec::new(),
@@ -422,18 +425,19 @@ impl Config {
         within("save_minutes", self.save_minutes, 0.0, 1e6)?;
         within("validate.every", self.validate.every as f64, 1.0, 1e9)?;
         within("validate.threshold", self.validate.threshold, 0.0, 1.0)?;
-        self.optimizer.validate()?;
+        self.optimizer.validate("optimizer")?;
+        self.refine.validate()?;
         self.schedule.validate()?;
         self.augment.validate()
     }
 }
 
 impl Optimizer {
-    fn validate(&self) -> Result<(), TrainError> {
-        within("optimizer.rate", self.rate, 1e-12, 100.0)?;
-        within("optimizer.decay", self.decay, 0.0, 10.0)?;
-        within("optimizer.momentum", self.momentum, 0.0, 0.99999)?;
-        within("optimizer.second_momentum", self.second_momentum, 0.0, 0.999_999)
+    pub(crate) fn validate(&self, key: &str) -> Result<(), TrainError> {
+        within(&format!("{key}.rate"), self.rate, 1e-12, 100.0)?;
+        within(&format!("{key}.decay"), self.decay, 0.0, 10.0)?;
+        within(&format!("{key}.momentum"), self.momentum, 0.0, 0.99999)?;
+        within(&format!("{key}.second_momentum"), self.second_momentum, 0.0, 0.999_999)
     }
 }
 
@@ -486,7 +490,7 @@ impl Augment {
     }
 }
 
-fn within(key: &str, value: f64, least: f64, most: f64) -> Result<(), TrainError> {
+pub(crate) fn within(key: &str, value: f64, least: f64, most: f64) -> Result<(), TrainError> {
     if (least..=most).contains(&value) { Ok(()) } else { Err(TrainError::value(key, value, format!("{least} to {most}"))) }
 }
 
@@ -507,6 +511,7 @@ mod tests {
             ("batch = 0", ["train.batch", "0", "1 to 4096"]),
             ("batch_parts = 9", ["train.batch_parts", "9", "1 to 8"]),
             ("multi_scale = [320, 333]", ["train.multi_scale", "333", "multiples of 32"]),
+            ("[refine]\nbatch_parts = 200", ["train.refine.batch_parts", "200", "1 to 128"]),
             ("[optimizer]\nrate = -1.0", ["train.optimizer.rate", "-1", "to 100"]),
             ("[augment]\nflip = 1.5", ["train.augment.flip", "1.5", "0 to 1"]),
             ("[schedule]\nkind = 'steps'\nat = [0.5]", ["train.schedule.factors", "2 factors", "1, one for each"]),

@@ -9,6 +9,7 @@ use crate::{
     error::TrainError,
     memory::Estimate,
     progress::{Progress, StepReport},
+    refine,
     run::{
         RunDir, draw,
         history::{self, History, Row},
@@ -105,7 +106,12 @@ pub fn fit(
         return Err(TrainError::RunExists { run: options.out.clone() });
     }
     let mut session = Session::open(config, model, dataset, options, progress)?;
-    let end = session.run(progress)?;
+    let mut end = session.run(progress)?;
+    if end != End::Interrupted && config.refine.epochs > 0.0 {
+        let identity = &session.progress.identity;
+        let refined = refine::Work { config, dataset, options, run: &session.run, identity }.fit(progress)?;
+        end = if refined == End::Interrupted { refined } else { end };
+    }
     let step = session.progress.step;
     Ok(RunSummary {
         end,
@@ -480,7 +486,8 @@ impl<'a> Session<'a> {
 }
 
 impl Sums {
-    fn add(&mut self, output: &StepOutput, seconds: f64) {
+    /// Takes in a step that took so long.
+    pub(crate) fn add(&mut self, output: &StepOutput, seconds: f64) {
         let t = &output.terms;
         let values = [t.center, t.size, t.objectness, t.class, t.keypoints, output.gradient_norm];
         self.steps += 1;
@@ -489,7 +496,7 @@ impl Sums {
     }
 
     /// Means as a row; `images_per_second` holds steps a second.
-    fn row(&self) -> Row {
+    pub(crate) fn row(&self) -> Row {
         let [center, size, objectness, class, keypoints, gradient_norm] = self.values.map(|v| v / self.steps.max(1) as f64);
         let loss = LossTerms { center, size, objectness, class, keypoints };
         Row { loss, gradient_norm, images_per_second: self.steps as f64 / self.seconds.max(1e-9), ..Row::default() }

@@ -1,6 +1,6 @@
 //! How much memory a training will need, told before its first step.
 use crate::{config::Config, device::Accelerator, error::TrainError};
-use tcross_yolo::{ModelConfig, NetSize, model};
+use tcross_yolo::{ModelConfig, NetSize, model, refiner::Patch};
 
 /// An estimate in bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -13,12 +13,16 @@ pub struct Estimate {
     pub batches: u64,
     /// Decoded images.
     pub cache: u64,
+    /// What the second stage sees of each claim.
+    pub claims: u64,
 }
 
 /// Copies of each parameter: itself, its gradient, two moments, the average, and one on its way.
 const PARAMETER_COPIES: u64 = 6;
 /// Copies of each convolution's output while all of them wait for the backward pass (before and after batch norm, activation).
 const ACTIVATION_COPIES: u64 = 3;
+/// Claims of an image, made ones included: more than a trained detector of the quickstart has.
+const CLAIMS: u64 = 8;
 
 impl Estimate {
     /// For this network at the largest of its input sizes, with `images` images to cache.
@@ -42,13 +46,14 @@ impl Estimate {
             activations: 4 * ACTIVATION_COPIES * batch * outputs as u64,
             batches: 4 * 3 * area(&net) as u64 * batch * (config.workers as u64 + 2),
             cache: (picture * images as u64).min((config.cache_gb * 1e9) as u64),
+            claims: if config.refine.epochs > 0.0 { CLAIMS * Patch::BYTES as u64 * images as u64 } else { 0 },
         })
     }
 
     /// All together.
     #[must_use]
     pub fn total(&self) -> u64 {
-        self.parameters + self.activations + self.batches + self.cache
+        self.parameters + self.activations + self.batches + self.cache + self.claims
     }
 
     /// Compares with what the system has free, where that is what the training takes: a graphics card has memory of its own.
@@ -69,7 +74,8 @@ impl std::fmt::Display for Estimate {
     fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
         let [total, parameters, activations, batches, cache] =
             [self.total(), self.parameters, self.activations, self.batches, self.cache].map(gigabytes);
-        write!(f, "about {total}: parameters {parameters}, activations {activations}, waiting batches {batches}, images {cache}")
+        write!(f, "about {total}: parameters {parameters}, activations {activations}, waiting batches {batches}, images {cache}")?;
+        if self.claims > 0 { write!(f, ", claims {}", gigabytes(self.claims)) } else { Ok(()) }
     }
 }
 

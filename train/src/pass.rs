@@ -44,16 +44,26 @@ impl Pass {
         };
         let logits: Vec<Vec<f32>> = heads.iter().map(read_logits).collect();
         let output = self.loss.evaluate(&self.model.geometry(net), &logits, &batch.truths)?;
-        let surrogate = heads.into_iter().zip(output.gradients).map(|(head, gradient)| {
-            let shape = head.dims();
-            ops::seed(self.path, head, Tensor::from_data(TensorData::new(gradient, shape), &self.device))
-        });
-        #[expect(clippy::expect_used, reason = "`ModelConfig::validate` refuses networks without a head")]
-        let surrogate = surrogate.reduce(|a, b| a + b).expect("a network has a head");
-        let mut collected = Collect { gradients: surrogate.backward(), values: Vec::new() };
-        network.visit(&mut collected);
-        Ok(Passed { images: batch.truths.len(), terms: output.terms, gradients: collected.values })
+        let gradients = parameter_gradients(network, self.path, heads.into_iter().zip(output.gradients));
+        Ok(Passed { images: batch.truths.len(), terms: output.terms, gradients })
     }
+}
+
+/// The gradient of each parameter, in the order in which a network is walked, from that of each of its outputs; none for what does not learn.
+pub fn parameter_gradients<N: Module>(
+    network: &N,
+    path: Path,
+    outputs: impl IntoIterator<Item = (Tensor<4>, Vec<f32>)>,
+) -> Vec<Option<TensorData>> {
+    let surrogate = outputs.into_iter().map(|(output, gradient)| {
+        let (shape, device) = (output.dims(), output.device());
+        ops::seed(path, output, Tensor::from_data(TensorData::new(gradient, shape), &device))
+    });
+    #[expect(clippy::expect_used, reason = "`ModelConfig::validate` refuses networks without a head, and the refiner has one")]
+    let surrogate = surrogate.reduce(|a, b| a + b).expect("a network has a head");
+    let mut collected = Collect { gradients: surrogate.backward(), values: Vec::new() };
+    network.visit(&mut collected);
+    collected.values
 }
 
 impl Passed {

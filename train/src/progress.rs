@@ -38,6 +38,22 @@ pub enum Progress<'a> {
         /// Whether the metric is the highest so far.
         best: bool,
     },
+    /// The finished detector looks at the training images, for the second stage to learn from.
+    Claims {
+        /// Images done.
+        done: usize,
+        /// All images.
+        of: usize,
+    },
+    /// A step of the second stage is done; its images are claims.
+    Refined(StepReport),
+    /// The second stage is trained.
+    SecondStage {
+        /// Validation scores without it and with it.
+        words: &'a str,
+        /// Whether it helps, and is kept.
+        kept: bool,
+    },
     /// Something that is no failure, naming its file.
     Warning(&'a str),
 }

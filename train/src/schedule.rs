@@ -16,6 +16,12 @@ pub struct Length {
 }
 
 impl Length {
+    /// Of so many equal steps, and of no more than these minutes.
+    #[must_use]
+    pub fn of_steps(steps_per_epoch: f64, total: u64, max_minutes: Option<f64>) -> Self {
+        Self { steps_per_epoch, total_steps: Some(total), max_seconds: max_minutes.map(|m| 60.0 * m), windows: (0.0, 1.0) }
+    }
+
     /// Of a training over `images` images, each an input of this size when it is shown whole.
     #[must_use]
     pub fn new(config: &Config, images: usize, net: NetSize) -> Self {

@@ -53,7 +53,7 @@ pub fn datagen(config: &Config, options: &GenerateOptions) -> Outcome<tcross_dat
 
 /// Trains a network.
 pub fn train(config: &Config, data: &Path, options: &tcross_train::RunOptions) -> Outcome<RunSummary> {
-    use tcross_train::Progress::{Epoch, Opened, Step, Validating, Warning};
+    use tcross_train::Progress::{Claims, Epoch, Opened, Refined, SecondStage, Step, Validating, Warning};
     let dataset = Dataset::open(data)?;
     // Thousandths: the number of steps is not always known beforehand.
     let mut bar = Progress::new("train", 1000);
@@ -69,14 +69,22 @@ pub fn train(config: &Config, data: &Path, options: &tcross_train::RunOptions) -
             }
         }
         Step(s) => {
-            let left = s
-                .seconds_left
-                .map_or(String::new(), |t| format!(", {} left", console::seconds(std::time::Duration::from_secs_f64(t.max(0.0)))));
+            let left = time_left(&s);
             let parts = format!("box {:.2} objectness {:.2} class {:.2}", s.loss.center + s.loss.size, s.loss.objectness, s.loss.class);
             let message = format!("epoch {:.1}: loss {:.2} ({parts}), {:.1} images/s{left}", s.epoch, s.loss.total(), s.images_per_second);
             bar.at((s.fraction * 1000.0) as u64, 1000, &message);
         }
         Validating { .. } => {}
+        Claims { done, of } => bar.at(done as u64, of as u64, "images looked at for the second stage"),
+        Refined(s) => {
+            let parts = format!("score {:.3} box {:.3}", s.loss.objectness, s.loss.center);
+            let message = format!("second stage, pass {:.1}: loss {parts}, {:.0} claims/s{}", s.epoch, s.images_per_second, time_left(&s));
+            bar.at((s.fraction * 1000.0) as u64, 1000, &message);
+        }
+        SecondStage { words, kept } => {
+            let fate = if kept { "" } else { "; it does not help and is not kept" };
+            console::note(&format!("second stage: {words}{fate}"));
+        }
         Epoch { row, best } => {
             let score = |name: &str| row.columns().iter().find(|c| c.0 == name).and_then(|c| c.1).map_or("-".into(), |v| format!("{v:.3}"));
             let mark = if best { " *" } else { "" };
@@ -99,6 +107,12 @@ pub fn train(config: &Config, data: &Path, options: &tcross_train::RunOptions) -
         return Err(Failure::Interrupted { kept });
     }
     Ok(summary)
+}
+
+/// What a progress line says of the time still to go; nothing where it is not known.
+fn time_left(step: &tcross_train::StepReport) -> String {
+    let left = step.seconds_left.map(|t| console::seconds(std::time::Duration::from_secs_f64(t.max(0.0))));
+    left.map_or(String::new(), |left| format!(", {left} left"))
 }
 
 /// Every split of datasets, one behind the other.

@@ -99,6 +99,15 @@ impl Graph {
         Self { layers: Vec::new(), channels: Vec::new(), strides: Vec::new() }
     }
 
+    /// Convolutions alone, as they are stored: how they are joined is another module's business. Such a graph serves [`crate::Weights`] and
+    /// files, and no walk.
+    #[must_use]
+    pub fn of_convolutions(convolutions: Vec<Conv>) -> Self {
+        let channels = convolutions.iter().map(|conv| conv.filters).collect();
+        let strides = vec![1; convolutions.len()];
+        Self { layers: convolutions.into_iter().map(Layer::Conv).collect(), channels, strides }
+    }
+
     /// Adds a layer and says its index.
     ///
     /// # Errors

@@ -16,6 +16,39 @@ use tcross_kernels::ops::{self, Path};
 /// How much a batch moves the running averages of batch norm: Darknet's `0.99 old + 0.01 new`.
 pub const BATCH_NORM_MOMENTUM: f64 = 0.01;
 
+/// A network of convolutions that learns, however they are joined.
+pub trait Network: Module {
+    /// In file order.
+    fn convolutions(&self) -> &[ConvBlock];
+
+    /// Reads all parameters back, as training left them.
+    fn weights(&self) -> Weights {
+        Weights { seen: 0, convolutions: self.convolutions().iter().map(ConvBlock::weights).collect() }
+    }
+
+    /// Gives several copies of one network, that have seen a batch each, the same running averages: the mean of theirs.
+    fn share_statistics(copies: &[Self]) {
+        if copies.len() < 2 {
+            return;
+        }
+        let norms = |index: usize| copies.iter().filter_map(move |copy| copy.convolutions()[index].norm.as_ref());
+        for index in 0..copies[0].convolutions().len() {
+            for state in [|norm: &Norm| norm.mean.clone(), |norm: &Norm| norm.variance.clone()] {
+                let states: Vec<_> = norms(index).map(state).collect();
+                let sum = states.iter().map(RunningState::value_sync).reduce(|a, b| a + b);
+                let Some(mean) = sum.map(|sum| sum / copies.len() as f32) else { continue };
+                states.iter().for_each(|state| blocks::set(state, mean.clone()));
+            }
+        }
+    }
+}
+
+impl Network for Yolo {
+    fn convolutions(&self) -> &[ConvBlock] {
+        &self.convolutions
+    }
+}
+
 /// A YOLO network. On a device with autodiff it trains, on a plain one it infers.
 #[derive(Module, Debug)]
 pub struct Yolo {
@@ -70,12 +103,6 @@ impl Yolo {
         &self.graph
     }
 
-    /// Reads all parameters back, as training left them.
-    #[must_use]
-    pub fn weights(&self) -> Weights {
-        Weights { seen: 0, convolutions: self.convolutions.iter().map(ConvBlock::weights).collect() }
-    }
-
     /// How much a batch moves the running averages of batch norm (default: [`BATCH_NORM_MOMENTUM`]).
     #[must_use]
     pub fn with_momentum(mut self, momentum: f64) -> Self {
@@ -104,22 +131,6 @@ impl Yolo {
     #[must_use]
     pub fn convolutions_below(&self, layers: usize) -> usize {
         self.graph.convolutions().filter(|(layer, _)| *layer < layers).count()
-    }
-
-    /// Gives several copies of one network, that have seen a batch each, the same running averages: the mean of theirs.
-    pub fn share_statistics(copies: &[Self]) {
-        if copies.len() < 2 {
-            return;
-        }
-        let norms = |index: usize| copies.iter().filter_map(move |copy| copy.convolutions[index].norm.as_ref());
-        for index in 0..copies[0].convolutions.len() {
-            for state in [|norm: &Norm| norm.mean.clone(), |norm: &Norm| norm.variance.clone()] {
-                let states: Vec<_> = norms(index).map(state).collect();
-                let sum = states.iter().map(RunningState::value_sync).reduce(|a, b| a + b);
-                let Some(mean) = sum.map(|sum| sum / copies.len() as f32) else { continue };
-                states.iter().for_each(|state| blocks::set(state, mean.clone()));
-            }
-        }
     }
 
     /// Images `[batch, 3, height, width]`, RGB in 0..1, to each head's raw logits

@@ -1,18 +1,56 @@
 //! Non-maximum suppression.
 use crate::decode::NetDetection;
-use tcross_dataset::geom::boxes::iou;
+use tcross_dataset::{Detection, PixelBox, geom::boxes::iou};
+
+/// What can suppress and be suppressed.
+pub trait Claim {
+    /// 0..1.
+    fn score(&self) -> f64;
+    /// Index of the class.
+    fn class(&self) -> u32;
+    /// In pixels of some image.
+    fn bounds(&self) -> &PixelBox;
+}
+
+impl Claim for NetDetection {
+    fn score(&self) -> f64 {
+        f64::from(self.score)
+    }
+
+    fn class(&self) -> u32 {
+        self.class
+    }
+
+    fn bounds(&self) -> &PixelBox {
+        &self.bounds
+    }
+}
+
+impl Claim for Detection {
+    fn score(&self) -> f64 {
+        self.score
+    }
+
+    fn class(&self) -> u32 {
+        self.class
+    }
+
+    fn bounds(&self) -> &PixelBox {
+        &self.bounds
+    }
+}
 
 /// Keeps, class by class, each claim that no better one of its class overlaps by more than `max_iou`; at most `most` in all, by falling
 /// score, equal scores in their given order.
 #[must_use]
-pub fn nms(mut detections: Vec<NetDetection>, max_iou: f64, most: usize) -> Vec<NetDetection> {
-    detections.sort_by(|a, b| b.score.total_cmp(&a.score)); // stable: equal scores keep their order
-    let mut kept: Vec<NetDetection> = Vec::new();
+pub fn nms<C: Claim>(mut detections: Vec<C>, max_iou: f64, most: usize) -> Vec<C> {
+    detections.sort_by(|a, b| b.score().total_cmp(&a.score())); // stable: equal scores keep their order
+    let mut kept: Vec<C> = Vec::new();
     for candidate in detections {
         if kept.len() == most {
             break;
         }
-        let free = |k: &NetDetection| k.class != candidate.class || iou(&k.bounds, &candidate.bounds) <= max_iou;
+        let free = |k: &C| k.class() != candidate.class() || iou(k.bounds(), candidate.bounds()) <= max_iou;
         if kept.iter().all(free) {
             kept.push(candidate);
         }

@@ -18,7 +18,7 @@ fn golden(path: &str) -> Option<PathBuf> {
 fn darknets_own_detections_are_found() {
     let Some(dir) = golden("darknet-tiny") else { return };
     let config = Config { score: 0.1, ..Config::default() };
-    let mut detector = Detector::load(dir.join("yolov3-tiny.cfg")).unwrap().configured(&config);
+    let mut detector = config.configure(Detector::load(dir.join("yolov3-tiny.cfg")).unwrap());
     detector.options.clip = false;
     let text = std::fs::read_to_string(dir.join("detections-coffee.json")).unwrap();
     let golden: serde_json::Value = serde_json::from_str(&text).unwrap();

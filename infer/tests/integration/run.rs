@@ -21,7 +21,7 @@ fn unreadable_images_are_skipped_and_named() {
     let out = dir.path().join("out/detections.jsonl");
     let options = RunOptions { out: Some(out.clone()), overlay: Some(dir.path().join("overlays")), ..RunOptions::default() };
     let config = Config { score: 0.0, pose: true, most: 5, ..Config::default() };
-    let mut boxes = Boxes::Detector(Box::new(tiny().configured(&config)));
+    let mut boxes = Boxes::Detector(Box::new(config.configure(tiny())));
     let source = Source::open(&[dir.path()], None).unwrap();
     let mut warnings = Vec::new();
     let report = run(&mut boxes, &source, &config, &options, &mut |p| {

@@ -64,6 +64,12 @@ impl PixelBox {
         self.width().min(self.height())
     }
 
+    /// The same with its right and lower side moved outwards by `extra`: from one convention of counting boxes to another.
+    #[must_use]
+    pub fn grown(&self, extra: f64) -> Self {
+        Self { x_max: self.x_max + extra, y_max: self.y_max + extra, ..*self }
+    }
+
     /// The part inside an image of this size; may be empty.
     #[must_use]
     pub fn clipped(&self, width: f64, height: f64) -> Self {

@@ -82,7 +82,7 @@ pub fn run(args: Args) -> Outcome {
         (Some(file), inputs) => (Boxes::given(file)?, inputs),
         (None, [model, inputs @ ..]) if !inputs.is_empty() => {
             must_exist(model, "model")?;
-            (Boxes::Detector(Box::new(Detector::load(model)?.configured(&config.infer))), inputs)
+            (Boxes::Detector(Box::new(config.infer.configure(Detector::load(model)?))), inputs)
         }
         _ => return Err(Failure::usage(format!("INPUT is missing: images, folders or a dataset; type for instance: tcross {EXAMPLE}"))),
     };

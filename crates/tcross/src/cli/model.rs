@@ -10,7 +10,7 @@ use std::{
     path::{Path, PathBuf},
 };
 use tcross_dataset::files;
-use tcross_yolo::{Model, model::ExportFormat, weights::darknet};
+use tcross_yolo::{Model, model::ExportFormat, refiner::REFINER, weights::darknet};
 
 const IMPORT: &str = "model import yolov3-tiny.cfg --out models/coco";
 const EXPORT: &str = "model export runs/quickstart/run --to onnx --out marker.onnx";
@@ -81,6 +81,9 @@ pub fn run(args: Args) -> Outcome {
         }
         What::Export { model, to, out, folded, cut } => {
             let out = required(&out, "--out FILE", EXPORT)?;
+            if model.join(REFINER).is_file() {
+                console::warn(&format!("{}: the second stage stays behind: no other program's format has one", model.display()));
+            }
             let model = load(&model)?;
             files::create_dir(files::folder_of(out))?;
             if let Some(layers) = cut {

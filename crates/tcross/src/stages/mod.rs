@@ -21,6 +21,7 @@ use tcross_datagen::{GenerateOptions, manifest::fingerprint};
 use tcross_dataset::{Split, files};
 use tcross_eval::report::slug;
 use tcross_infer::{Boxes, Detector, Source};
+use tcross_yolo::refiner::REFINER;
 
 /// One of the four.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]
@@ -91,7 +92,10 @@ impl Row {
     fn results(&self, stage: Stage) -> Vec<PathBuf> {
         match stage {
             Stage::Data => vec![self.data().join("dataset.toml")],
-            Stage::Train => vec![self.run().join("best.safetensors"), self.run().join("model.toml")],
+            Stage::Train => {
+                let refiner = Some(self.run().join(REFINER)).filter(|path| path.is_file());
+                [self.run().join("best.safetensors"), self.run().join("model.toml")].into_iter().chain(refiner).collect()
+            }
             Stage::Infer => [self.detections()].into_iter().chain(self.validation()).collect(),
             Stage::Eval => vec![self.dir.join("eval/metrics.json"), self.dir.join("report.html")],
         }
@@ -348,7 +352,7 @@ fn train(row: &Row, resume: bool, ours: bool) -> Outcome {
 }
 
 fn infer(row: &Row, network: &Row) -> Outcome {
-    let detector = Detector::load(network.run())?.configured(&row.config.infer);
+    let detector = row.config.infer.configure(Detector::load(network.run())?);
     let mut boxes = Boxes::Detector(Box::new(detector));
     // Validation chooses a threshold, for which boxes are enough, unless a refused pose takes its box along.
     let poses = row.config.infer.pose && row.config.infer.pose_filter;

@@ -181,14 +181,19 @@ impl Work<'_> {
         let schedule = Schedule { warmup: WARMUP, ..Schedule::default() };
         let mut order = Order { seed: self.options.seed, count: claims.len() as u64, epoch: u64::MAX, pass: Vec::new() };
         let mut pass_sums = Sums::default();
+        let (save_seconds, mut saved_at) = (60.0 * self.config.save_minutes, at.seconds);
         loop {
             let started = Instant::now();
             let fraction = length.fraction(at.step, at.seconds);
-            if fraction >= 1.0 || self.options.stop.load(Ordering::Relaxed) {
+            let ends = fraction >= 1.0 || self.options.stop.load(Ordering::Relaxed);
+            if ends || (save_seconds > 0.0 && at.seconds - saved_at > save_seconds) {
                 if config.ema == 0.0 {
                     ema.weights = learner.weights();
                 }
                 State::write(&self.run.path(STATE), &at, &learner.weights(), &ema, learner.slots())?;
+                saved_at = at.seconds;
+            }
+            if ends {
                 return Ok((fraction >= 1.0).then_some((ema.weights, at)));
             }
             let chosen: Vec<usize> = (0..config.batch as u64).map(|k| order.claim(at.step * config.batch as u64 + k)).collect();

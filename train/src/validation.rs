@@ -95,7 +95,7 @@ impl Validator<'_> {
         let picture = |&(index, _): &(usize, f64)| {
             let extra = self.boxes.extra();
             let letterbox = self.samples.letterbox(index);
-            let place = |b: PixelBox| letterbox.box_to_net(&PixelBox { x_max: b.x_max + extra, y_max: b.y_max + extra, ..b });
+            let place = |b: PixelBox| letterbox.box_to_net(&b.grown(extra));
             let truths: Vec<PixelBox> = self.samples.labels(index).iter().map(|l| l.bounds).collect();
             let claimed: Vec<PixelBox> = kept(index).map(place).collect();
             let size = self.samples.size();

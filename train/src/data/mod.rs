@@ -5,4 +5,4 @@ pub mod samples;
 
 pub use batch::{Batch, BatchMaker, Loader, Request};
 pub use order::Order;
-pub use samples::Samples;
+pub use samples::{Samples, evenly};

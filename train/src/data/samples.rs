@@ -11,8 +11,15 @@ use std::{
         atomic::{AtomicUsize, Ordering},
     },
 };
-use tcross_dataset::{Dataset, Letterbox, PixelBox, Record, Split, picture};
+use tcross_dataset::{Dataset, Letterbox, Record, Split, picture};
 use tcross_yolo::{NetSize, input};
+
+/// About `most` of `count` indices, evenly spread; 0 for all.
+#[must_use]
+pub fn evenly(count: usize, most: usize) -> Vec<usize> {
+    let most = if most == 0 { count } else { most.min(count) };
+    (0..most).map(|k| k * count / most).collect()
+}
 
 /// Images of one split at one letterboxed size.
 pub struct Samples {
@@ -80,15 +87,11 @@ impl Samples {
     /// Keeps about `most` records, evenly spread; 0 keeps all.
     #[must_use]
     pub fn thinned(mut self, most: usize) -> Self {
-        let count = self.records.len();
-        if most == 0 || most >= count {
-            return self;
-        }
-        let chosen: Vec<usize> = (0..most).map(|k| k * count / most).collect();
+        let chosen = evenly(self.records.len(), most);
         self.records = chosen.iter().map(|&k| self.records[k].clone()).collect();
         self.paths = chosen.iter().map(|&k| self.paths[k].clone()).collect();
         self.labels = chosen.iter().map(|&k| self.labels[k].clone()).collect();
-        self.cache.truncate(most);
+        self.cache.truncate(chosen.len());
         self
     }
 
@@ -183,7 +186,7 @@ fn labels_of(record: &Record, size: NetSize, extra: f64, classes: &[String]) -> 
     let letterbox = Letterbox::new((record.width as usize, record.height as usize), (size.width, size.height));
     let label = |(k, marker): (usize, &tcross_dataset::Marker)| {
         let b = marker.bounds;
-        let continuous = PixelBox { x_max: b.x_max + extra, y_max: b.y_max + extra, ..b };
+        let continuous = b.grown(extra);
         let inside = continuous.clipped(width, height);
         if !b.is_valid() || inside.width() <= 0.0 || inside.height() <= 0.0 {
             let found: [f64; 4] = b.into();

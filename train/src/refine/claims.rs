@@ -1,5 +1,5 @@
 //! What the second stage learns from: what the finished detector claims in the training images, and what it might have claimed.
-use crate::error::TrainError;
+use crate::{data::evenly, error::TrainError};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 use tcross_dataset::{Dataset, PixelBox, Record, Split, geom::boxes::iou, picture};
@@ -40,7 +40,7 @@ pub fn collect(
     stop: &AtomicBool,
     told: &mut dyn FnMut(usize, usize),
 ) -> Result<Option<Vec<Claim>>, TrainError> {
-    let records = thinned(dataset.records(Split::Train)?, most);
+    let records = thinned(dataset, Split::Train, most)?;
     let mut claims = Vec::new();
     for (k, chunk) in records.chunks(CHUNK).enumerate() {
         if stop.load(Ordering::Relaxed) {
@@ -56,13 +56,13 @@ pub fn collect(
     Ok(Some(claims))
 }
 
-/// About `most` of them, evenly spread; 0 keeps all.
-pub fn thinned<T>(all: Vec<T>, most: usize) -> Vec<T> {
-    let count = all.len();
-    if most == 0 || most >= count {
-        return all;
-    }
-    all.into_iter().enumerate().filter(|(k, _)| (k + 1) * most / count > k * most / count).map(|(_, one)| one).collect()
+/// A split's records, about `most` of them, the same that a detector's validation takes.
+///
+/// # Errors
+/// If the split's list cannot be read.
+pub fn thinned(dataset: &Dataset, split: Split, most: usize) -> Result<Vec<Record>, TrainError> {
+    let records = dataset.records(split)?;
+    Ok(evenly(records.len(), most).into_iter().map(|k| records[k].clone()).collect())
 }
 
 fn of_image(detector: &mut Detector, image: &image::RgbImage, record: &Record, extra: f64) -> Vec<Claim> {

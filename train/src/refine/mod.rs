@@ -299,7 +299,7 @@ impl Work<'_> {
         if !listed {
             return Ok(None);
         }
-        let records = claims::thinned(self.dataset.records(Split::Val)?, self.config.validate.images);
+        let records = claims::thinned(self.dataset, Split::Val, self.config.validate.images)?;
         let config =
             tcross_eval::Config { threshold: self.config.validate.threshold, classes: self.config.classes.clone(), ..Default::default() };
         let score = |refiner: Option<Refiner>| {

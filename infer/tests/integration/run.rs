@@ -111,3 +111,15 @@ fn poses_come_from_given_boxes_too() {
     let error = run(&mut boxes, &more, &config, &RunOptions::default(), &mut |_| true).unwrap_err().to_string();
     assert!(error.contains("y.png") && error.contains("boxes.jsonl"), "{error}");
 }
+
+/// `infer.refine = false` leaves a model's second stage out.
+#[test]
+fn a_second_stage_can_be_left_out() {
+    let weights = Weights::zeros(&tcross_yolo::refiner::net::layers());
+    let refiner = Some(tcross_yolo::Refiner::new(&weights, tcross_yolo::BoxConvention::Continuous).unwrap());
+    for refine in [true, false] {
+        let mut detector = tiny();
+        detector.refiner = refiner.clone();
+        assert_eq!(Config { refine, ..Config::default() }.configure(detector).refiner.is_some(), refine);
+    }
+}

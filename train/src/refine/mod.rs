@@ -398,13 +398,19 @@ mod tests {
     }
 
     /// What a training of the toy says of its second stage, and the files it leaves.
-    fn train(config: &Config, data: &std::path::Path, out: &std::path::Path, resume: bool, stop_at: u64) -> (End, Option<bool>, Vec<f64>) {
+    fn train(
+        config: &Config,
+        data: &std::path::Path,
+        out: &std::path::Path,
+        resume: bool,
+        stop_at: u64,
+    ) -> (End, Option<bool>, Vec<[f64; 2]>) {
         let stop = AtomicBool::new(false);
         let options = RunOptions { resume, ..RunOptions::new(out, 1, &stop) };
         let (mut kept, mut losses) = (None, Vec::new());
         let summary = fit(config, &model(), &Dataset::open(data).unwrap(), &options, &mut |news| match news {
             Progress::Refined(step) => {
-                losses.push(step.loss.objectness);
+                losses.push([step.loss.objectness, step.loss.center]);
                 stop.store(step.step == stop_at, Ordering::Relaxed);
             }
             Progress::SecondStage { kept: helps, .. } => kept = Some(helps),
@@ -419,9 +425,11 @@ mod tests {
         let at = |name: &str| dir.path().join(name);
         toy::write(&at("data"), 12, 4, 64).unwrap();
         let (end, kept, losses) = train(&config(4.0), &at("data"), &at("a"), false, u64::MAX);
-        let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
-        let (first, last) = (mean(&losses[..8]), mean(&losses[losses.len() - 8..]));
-        assert!(end == End::Finished && last < 0.7 * first, "{first} -> {last}");
+        for (k, what, share) in [(0, "score", 0.7), (1, "box", 0.9)] {
+            let mean = |part: &[[f64; 2]]| part.iter().map(|loss| loss[k]).sum::<f64>() / part.len() as f64;
+            let (first, last) = (mean(&losses[..8]), mean(&losses[losses.len() - 8..]));
+            assert!(end == End::Finished && last < share * first, "{what}: {first} -> {last}");
+        }
         assert_eq!((kept, at("a").join(REFINER).is_file()), (Some(true), true));
 
         let half = losses.len() as u64 / 2;

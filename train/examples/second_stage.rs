@@ -19,8 +19,8 @@ fn main() -> Result<(), Box<dyn Error>> {
             said = Instant::now();
             let (t, seconds) = (s.loss, started.elapsed().as_secs_f64());
             eprintln!(
-                "{seconds:.0} s, pass {:.1}: score {:.3} box {:.3}, {:.0} claims/s",
-                s.epoch, t.objectness, t.center, s.images_per_second
+                "{seconds:.0} s, pass {:.1}: score {:.3} box {:.3} frame {:.3}, {:.0} claims/s",
+                s.epoch, t.objectness, t.center, t.size, s.images_per_second
             );
         }
         Progress::SecondStage { words, .. } => eprintln!("{:.0} s: {words}", started.elapsed().as_secs_f64()),

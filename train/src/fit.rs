@@ -175,7 +175,13 @@ impl<'a> Session<'a> {
             None => {
                 let (weights, words) = start::weights(config, &network, options.seed)?;
                 source = Some(words);
-                State { progress: state::Progress::start(identity), average: weights.clone(), weights, slots: Vec::new() }
+                State {
+                    progress: state::Progress::start(identity),
+                    average: weights.clone(),
+                    weights,
+                    slots: Vec::new(),
+                    claims: Vec::new(),
+                }
             }
         };
         let mut trainer = Trainer::new(config, &network, &state.weights, &options.accelerator)?;
@@ -479,7 +485,7 @@ impl<'a> Session<'a> {
         self.settle();
         self.write_weights("last.safetensors")?;
         let path = self.run.path("state/state.safetensors");
-        State::write(&path, &self.progress, &self.trainer.weights(), &self.ema, self.trainer.slots())?;
+        State::write(&path, &self.progress, &self.trainer.weights(), &self.ema, self.trainer.slots(), &[])?;
         self.saved_at = self.progress.seconds;
         Ok(())
     }

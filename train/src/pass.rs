@@ -25,6 +25,8 @@ pub struct Passed {
     pub images: usize,
     /// The parts of the loss, divided by their number.
     pub terms: LossTerms,
+    /// What the second stage said of each image; the detector's is not kept.
+    pub said: Vec<f32>,
     /// The loss's gradient, one a float of the network, in the order in which it is walked; none for what does not learn.
     pub gradients: Vec<Option<TensorData>>,
 }
@@ -45,7 +47,7 @@ impl Pass {
         let logits: Vec<Vec<f32>> = heads.iter().map(read_logits).collect();
         let output = self.loss.evaluate(&self.model.geometry(net), &logits, &batch.truths)?;
         let gradients = parameter_gradients(network, self.path, heads.into_iter().zip(output.gradients));
-        Ok(Passed { images: batch.truths.len(), terms: output.terms, gradients })
+        Ok(Passed { images: batch.truths.len(), terms: output.terms, said: Vec::new(), gradients })
     }
 }
 
@@ -73,6 +75,7 @@ impl Passed {
         let images: usize = parts.iter().map(|part| part.images).sum();
         let share = |part: &Self| part.images as f64 / images.max(1) as f64;
         let terms = LossTerms::weighted_sum(parts.iter().map(|part| (part.terms, share(part))));
+        let said = parts.iter().flat_map(|part| part.said.iter().copied()).collect();
         let mut parts = parts.into_iter().map(|part| (share(&part) as f32, part.gradients));
         let (first, mut gradients) = parts.next().unwrap_or_default();
         gradients.iter_mut().flatten().for_each(|g| floats_mut(g).iter_mut().for_each(|v| *v *= first));
@@ -81,7 +84,7 @@ impl Passed {
                 floats_mut(sum).iter_mut().zip(floats(g)).for_each(|(sum, v)| *sum += share * v);
             }
         }
-        Self { images, terms, gradients }
+        Self { images, terms, said, gradients }
     }
 }
 

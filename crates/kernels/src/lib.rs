@@ -4,6 +4,7 @@
 #![allow(unsafe_code)]
 pub mod allocator;
 mod buffer;
+pub mod circle;
 pub mod conv;
 mod gather;
 pub mod matrix;

@@ -62,19 +62,24 @@ pub fn pack_once(isa: Isa, shape: &ConvShape, weight: &[f32]) -> Panels {
     if winograd::applies(shape) { winograd::pack_forward(isa, shape, weight) } else { direct(isa, shape, weight) }
 }
 
+/// Channels that are packed at once.
+const CHANNELS: usize = 16;
+
 fn direct(isa: Isa, shape: &ConvShape, weight: &[f32]) -> Panels {
     let (cin, taps) = (shape.in_channels, shape.kernel * shape.kernel);
     assert_eq!(weight.len(), shape.weight_len());
     let isa = isa.filled_by(shape.out_channels);
     let (k, width) = (taps * cin, 2 * isa.lanes());
     Panels::pack(isa, Form::Direct, shape.out_channels, k, |first, lanes, panel| {
-        // Every stream goes on in order: a row a lane to read, a row a tap to write.
-        for c in 0..cin {
-            for tap in 0..taps {
-                let to = &mut panel[(tap * cin + c) * width..][..lanes];
-                let from = &weight[first * k + c * taps + tap..];
-                for (lane, to) in to.iter_mut().enumerate() {
-                    *to = from[lane * k];
+        // A few channels at once, so that lines that are read are read to their end while what is written stays near.
+        for c in (0..cin).step_by(CHANNELS) {
+            let channels = CHANNELS.min(cin - c);
+            for lane in 0..lanes {
+                let from = &weight[(first + lane) * k + c * taps..][..channels * taps];
+                for (c, from) in (c..).zip(from.chunks_exact(taps)) {
+                    for (tap, from) in from.iter().enumerate() {
+                        panel[(tap * cin + c) * width + lane] = *from;
+                    }
                 }
             }
         }

@@ -77,7 +77,7 @@ pub fn train(config: &Config, data: &Path, options: &tcross_train::RunOptions) -
         Validating { .. } => {}
         Claims { done, of } => bar.at(done as u64, of as u64, "images looked at for the second stage"),
         Refined(s) => {
-            let parts = format!("score {:.3} box {:.3}", s.loss.objectness, s.loss.center);
+            let parts = format!("score {:.3} box {:.3} frame {:.3}", s.loss.objectness, s.loss.center, s.loss.size);
             let message = format!("second stage, pass {:.1}: loss {parts}, {:.0} claims/s{}", s.epoch, s.images_per_second, time_left(&s));
             bar.at((s.fraction * 1000.0) as u64, 1000, &message);
         }

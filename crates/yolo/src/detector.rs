@@ -104,7 +104,7 @@ mod tests {
 
         let mut says = Weights::zeros(&net::layers());
         let at = says.convolutions.len() - 2;
-        says.convolutions[at].bias = vec![2.0];
+        says.convolutions[at].bias = vec![0.0, 2.0];
         safetensors::write(dir.path().join(REFINER), &net::layers(), &says).unwrap();
         let mut refined = Detector::load(dir.path()).unwrap();
         let second = refined.detect(&image);

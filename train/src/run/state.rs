@@ -22,6 +22,8 @@ pub struct State {
     pub average: Weights,
     /// What the optimiser remembers.
     pub slots: Vec<Slot>,
+    /// What a second stage remembers of its claims.
+    pub claims: Vec<f32>,
 }
 
 /// How far a training has come.
@@ -48,6 +50,9 @@ pub struct Progress {
     /// What the last validation took, with all that is written after it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub validation_seconds: Option<f64>,
+    /// Claims that a second stage has come by.
+    #[serde(default)]
+    pub claims: u64,
 }
 
 /// Sums over the steps since the last row of `metrics.csv`.
@@ -76,6 +81,7 @@ impl Progress {
             sums: Sums::default(),
             usual_loss: 0.0,
             validation_seconds: None,
+            claims: 0,
         }
     }
 }
@@ -85,7 +91,14 @@ impl State {
     ///
     /// # Errors
     /// If the folder cannot be written.
-    pub fn write(path: &Path, progress: &Progress, weights: &Weights, average: &Ema, slots: &[Slot]) -> Result<(), TrainError> {
+    pub fn write(
+        path: &Path,
+        progress: &Progress,
+        weights: &Weights,
+        average: &Ema,
+        slots: &[Slot],
+        claims: &[f32],
+    ) -> Result<(), TrainError> {
         let mut tensors: Vec<(String, Vec<u8>)> = Vec::new();
         let mut put = |name: String, values: &[f32]| tensors.push((name, values.iter().flat_map(|v| v.to_le_bytes()).collect()));
         for (kind, weights) in [("weights", weights), ("average", &average.weights)] {
@@ -97,6 +110,7 @@ impl State {
             put(format!("slots.{index}.first"), &slot.first);
             put(format!("slots.{index}.second"), &slot.second);
         }
+        put("claims".into(), claims);
         let broken = |e: &dyn std::fmt::Display| TrainError::state(path, e);
         let views = tensors.iter().map(|(name, bytes)| Ok((name, TensorView::new(Dtype::F32, vec![bytes.len() / 4], bytes)?)));
         let views = views.collect::<Result<Vec<_>, safetensors::SafeTensorError>>().map_err(|e| broken(&e))?;
@@ -144,7 +158,13 @@ impl State {
         let count = (0..).take_while(|k| tensors.tensor(&format!("slots.{k}.first")).is_ok()).count();
         let slot = |k| Ok(Slot { first: values(&format!("slots.{k}.first"))?, second: values(&format!("slots.{k}.second"))? });
         let slots = (0..count).map(slot).collect::<Result<_, TrainError>>()?;
-        Ok(Self { weights: weights("weights")?, average: weights("average")?, slots, progress })
+        Ok(Self {
+            weights: weights("weights")?,
+            average: weights("average")?,
+            slots,
+            claims: values("claims").unwrap_or_default(),
+            progress,
+        })
     }
 }
 
@@ -180,14 +200,14 @@ mod tests {
         progress.seconds = 0.1 + 0.2;
         progress.best = Some((1.0 / 3.0, 7));
         let slots = vec![Slot { first: vec![0.1, -0.0], second: vec![1e-30, 3.0] }, Slot::default()];
-        State::write(&path, &progress, &weights(1), &Ema::new(weights(2), 0.9), &slots).unwrap();
+        State::write(&path, &progress, &weights(1), &Ema::new(weights(2), 0.9), &slots, &[0.3, -1.0]).unwrap();
         let state = State::read(&path, &progress.identity, &graph).unwrap();
-        assert_eq!(state, State { progress: progress.clone(), weights: weights(1), average: weights(2), slots });
+        assert_eq!(state, State { progress: progress.clone(), weights: weights(1), average: weights(2), slots, claims: vec![0.3, -1.0] });
 
         let message = State::read(&path, "batch = 8\nrate = 0.2\n", &graph).unwrap_err().to_string();
         assert!(message.contains("`rate = 0.1`") && message.contains("`rate = 0.2`"), "{message}");
         progress.format = 9;
-        State::write(&path, &progress, &weights(1), &Ema::new(weights(2), 0.9), &[]).unwrap();
+        State::write(&path, &progress, &weights(1), &Ema::new(weights(2), 0.9), &[], &[]).unwrap();
         assert!(State::read(&path, &progress.identity, &graph).unwrap_err().to_string().contains("format 9 is newer"));
     }
 }

@@ -47,3 +47,17 @@ pub fn max_pool(x: Tensor<4>, stride: usize) -> Tensor<4> {
         MaxPoolOptions { kernel_size: [2; 2], stride: [stride; 2], padding: [(0, end), (0, end)], dilation: [1; 2], ceil_mode: false };
     channels_last(max_pool2d(channels_first(x), options))
 }
+
+pub fn wrap(x: Tensor<4>, first: usize, count: usize, margin: usize) -> Tensor<4> {
+    let columns = (0..count + 2 * margin).map(|k| x.clone().narrow(2, first + (k + count * margin - margin) % count, 1));
+    Tensor::cat(columns.collect(), 2)
+}
+
+pub fn around(x: Tensor<4>, first: usize, count: usize, arc: usize) -> Tensor<4> {
+    let [batch, height, _, channels] = x.dims();
+    let margin = arc / 2;
+    let wrapped = wrap(x, first, count, margin.max(arc - 1 - margin)).swap_dims(1, 2);
+    let begin = margin.max(arc - 1 - margin) - margin;
+    let turned = |k| wrapped.clone().narrow(1, begin + k, count).reshape([batch, 1, count, height * channels]);
+    Tensor::cat((0..arc).map(turned).collect(), 3)
+}

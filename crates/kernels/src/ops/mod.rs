@@ -4,6 +4,7 @@
 //! operations that runs on every device. [`Path`] says which is taken; both give the same result up to rounding.
 mod composite;
 mod fused;
+mod fused_circle;
 mod fused_resample;
 mod fused_seed;
 
@@ -122,6 +123,26 @@ pub fn max_pool(path: Path, x: Tensor<4>, stride: usize) -> Tensor<4> {
     match path {
         Path::Fused => fused_resample::max_pool(x, stride),
         Path::Composite => composite::max_pool(x, stride),
+    }
+}
+
+/// `count` columns from `first` on, which go around a circle, with `margin` of them repeated on each side, so that what lies across the seam
+/// is seen whole: `[batch, height, count + 2 * margin, channels]`.
+#[must_use]
+pub fn wrap(path: Path, x: Tensor<4>, first: usize, count: usize, margin: usize) -> Tensor<4> {
+    match path {
+        Path::Fused => fused_circle::wrap(x, first, count, margin),
+        Path::Composite => composite::wrap(x, first, count, margin),
+    }
+}
+
+/// Each of `count` columns from `first` on, which go around a circle, with its neighbours, `arc` in all from left to right, of each all rows
+/// from top to bottom: `[batch, 1, count, arc * height * channels]`.
+#[must_use]
+pub fn around(path: Path, x: Tensor<4>, first: usize, count: usize, arc: usize) -> Tensor<4> {
+    match path {
+        Path::Fused => fused_circle::around(x, first, count, arc),
+        Path::Composite => composite::around(x, first, count, arc),
     }
 }
 

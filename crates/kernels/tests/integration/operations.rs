@@ -108,6 +108,23 @@ proptest! {
     }
 }
 
+#[test]
+fn columns_around_a_circle() {
+    let device = Device::flex().autodiff();
+    for (first, count, width, margin, arc) in [(0, 5, 5, 2, 3), (1, 4, 6, 3, 5), (2, 3, 7, 1, 4), (0, 2, 3, 5, 1)] {
+        both(
+            |path| {
+                let x = noise([2, 3, width, 4], 5, -1.0, 1.0, &device).require_grad();
+                let y = ops::wrap(path, x.clone(), first, count, margin);
+                let z = ops::around(path, x.clone(), first, count, arc);
+                let all = Tensor::cat(vec![y.reshape([2, 1, 1, -1]), z.reshape([2, 1, 1, -1])], 3);
+                (all, vec![], vec![], vec![x])
+            },
+            &device,
+        );
+    }
+}
+
 /// There are no fast kernels for these: the composite runs in their place.
 #[test]
 fn other_kernels_run_too() {

@@ -1,5 +1,8 @@
 //! The refiner's network: convolutions over the view, then around the circle, then what all directions say together.
-use super::polar::{COLUMNS, OVERLAP, RAYS, RINGS, UnitBox};
+use super::{
+    frame::Frame,
+    polar::{COLUMNS, MARGIN, RAYS, RINGS, UnitBox},
+};
 use crate::{
     blocks::{ConvBlock, values},
     error::YoloError,
@@ -31,20 +34,26 @@ const DIRECTIONS: usize = RAYS / 4;
 /// Distances that are left.
 const DISTANCES: usize = RINGS / 4;
 
-/// Numbers that the network says of a view: the logit of its being a marker, and the box.
-pub const OUTPUTS: usize = 1 + 4;
-/// How far a box moves for an output of 1, in half sides.
+/// Logits: of its being a marker where a box is looked at, and where its frame is.
+const LOGITS: usize = 2;
+/// Numbers of a box and of a frame.
+const PLACES: usize = 4 + 5;
+/// Numbers that the network says of a view.
+pub const OUTPUTS: usize = LOGITS + PLACES;
+/// How far a box's sides and a frame move for an output of 1, in half sides.
 const REACH: f32 = 0.1;
-/// Where the box lies for outputs of 0: where it is looked for.
-const START: UnitBox = [-1.0, -1.0, 1.0, 1.0];
+/// Where they lie for outputs of 0: the box where it is looked for, the frame as that of a marker between upright and standing on a corner.
+const START: [f32; PLACES] = [-1.0, -1.0, 1.0, 1.0, 0.0, 0.0, 0.8, 0.8, 0.0];
 
 /// What the network says of a view.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Opinion {
-    /// Logit of its being a marker.
-    pub logit: f32,
-    /// The marker's box, in the units of the one that was looked at.
+    /// Logits of its being a marker: if the view is of a box, and if it is of a marker's frame.
+    pub logits: [f32; LOGITS],
+    /// Where the marker's box lies, in the view's units; it means nothing in a view of a frame.
     pub bounds: UnitBox,
+    /// Its frame, in the view's units.
+    pub frame: Frame,
 }
 
 impl Opinion {
@@ -54,21 +63,29 @@ impl Opinion {
     /// If there are fewer.
     #[must_use]
     pub fn of(outputs: &[f32]) -> Self {
-        Self { logit: outputs[0], bounds: std::array::from_fn(|k| START[k] + REACH * outputs[1 + k]) }
+        let [left, top, right, bottom, x, y, xx, yy, xy]: [f32; PLACES] = std::array::from_fn(|k| START[k] + REACH * outputs[LOGITS + k]);
+        Self {
+            logits: [outputs[0], outputs[1]],
+            bounds: [left, top, right, bottom],
+            frame: Frame { center: [x, y], axes: [[xx, xy], [xy, yy]] },
+        }
     }
 
-    /// The gradient with respect to the outputs, from that with respect to the logit and the box.
+    /// The gradient with respect to the outputs, from that with respect to the logits, the box and the frame's centre, stretch along x and
+    /// y, and slant.
     #[must_use]
-    pub fn gradient(logit: f32, bounds: [f32; 4]) -> [f32; OUTPUTS] {
-        let [a, b, c, d] = bounds.map(|g| REACH * g);
-        [logit, a, b, c, d]
+    pub fn gradient(logits: [f32; LOGITS], bounds: [f32; 4], frame: [f32; 5]) -> [f32; OUTPUTS] {
+        let mut out = [0.0; OUTPUTS];
+        out[..LOGITS].copy_from_slice(&logits);
+        out[LOGITS..].iter_mut().zip(bounds.iter().chain(&frame)).for_each(|(out, g)| *out = REACH * g);
+        out
     }
 }
 
 /// The network.
 #[derive(Module, Debug)]
 pub struct RefinerNet {
-    /// In file order: over the view, around the circle, all directions together, the logit, the box.
+    /// In file order: over the view, around the circle, all directions together, the logits, the box and the frame.
     pub convolutions: Vec<ConvBlock>,
     #[module(skip)]
     path: Path,
@@ -83,9 +100,15 @@ pub fn layers() -> Graph {
     before *= DISTANCES;
     convs.extend(ARCS.map(|arc| conv(arc * std::mem::replace(&mut before, CHANNELS), CHANNELS, 1, true)));
     convs.push(conv(3 * CHANNELS, CHANNELS, 1, true));
-    convs.push(conv(CHANNELS, 1, 1, false));
-    convs.push(conv(DIRECTIONS * CHANNELS, 4, 1, false));
+    convs.push(conv(CHANNELS, LOGITS, 1, false));
+    convs.push(conv(DIRECTIONS * CHANNELS, PLACES, 1, false));
     Graph::of_convolutions(convs)
+}
+
+/// Adds to what all views' logits will be.
+pub fn move_logits(weights: &mut Weights, by: f32) {
+    let logits = weights.convolutions.iter_mut().rev().nth(1);
+    logits.into_iter().flat_map(|layer| &mut layer.bias).for_each(|bias| *bias += by);
 }
 
 impl RefinerNet {
@@ -108,24 +131,27 @@ impl RefinerNet {
         let (around, rest) = rest.split_at(ARCS.len());
         let mut x = ops::channels_last(views);
         let batch = x.dims()[0];
+        let mut count = RAYS;
         for (index, conv) in over_view.iter().enumerate() {
             x = conv.forward(x, self.path);
             if POOLED_AFTER.contains(&index) {
+                // What the border has reached by now is half of the margin, which is made anew.
                 x = ops::max_pool(self.path, x, 2);
+                count /= 2;
+                x = ops::wrap(self.path, x, MARGIN / 2, count, MARGIN);
             }
         }
-        let (first, width) = (OVERLAP / 4, COLUMNS / 4 - OVERLAP / 2);
-        let x = x.narrow(2, first, width); // once around: [batch, DISTANCES, DIRECTIONS, channels]
-        let mut x = x.swap_dims(1, 2).reshape([batch as isize, 1, DIRECTIONS as isize, -1]);
+        let mut first = MARGIN;
         for (conv, arc) in around.iter().zip(ARCS) {
-            x = conv.forward(neighbours(x, arc), self.path);
+            x = conv.forward(ops::around(self.path, x, first, DIRECTIONS, arc), self.path);
+            first = 0;
         }
         let mean = x.clone().mean_dim(2);
         let spread = ((x.clone() - mean.clone()).powi_scalar(2).mean_dim(2) + EPSILON).sqrt();
         let together = ops::concat(vec![mean, x.clone().max_dim(2), spread]);
-        let logit = rest[1].forward(rest[0].forward(together, self.path), self.path);
-        let bounds = rest[2].forward(x.reshape([batch, 1, 1, DIRECTIONS * CHANNELS]), self.path);
-        ops::channels_first(ops::concat(vec![logit, bounds]))
+        let logits = rest[1].forward(rest[0].forward(together, self.path), self.path);
+        let places = rest[2].forward(x.reshape([batch, 1, 1, DIRECTIONS * CHANNELS]), self.path);
+        ops::channels_first(ops::concat(vec![logits, places]))
     }
 
     /// What it says of views, one behind the other.
@@ -147,16 +173,6 @@ impl Network for RefinerNet {
     }
 }
 
-/// Each direction's channels behind those of its neighbours, `arc` in all, around the circle: `[batch, 1, directions, arc * channels]`.
-fn neighbours(x: Tensor<4>, arc: usize) -> Tensor<4> {
-    let count = x.dims()[2];
-    let turned = |by: usize| match by % count {
-        0 => x.clone(),
-        by => Tensor::cat(vec![x.clone().narrow(2, by, count - by), x.clone().narrow(2, 0, by)], 2),
-    };
-    ops::concat((0..arc).map(|k| turned(count + k - arc / 2)).collect())
-}
-
 #[cfg(test)]
 mod tests {
     use super::{super::polar::VIEW, *};
@@ -173,7 +189,7 @@ mod tests {
         for (row, out) in out.chunks_exact_mut(COLUMNS).enumerate() {
             let mut rng = Rng::for_item(row as u64, "test/refiner", 0);
             let once: Vec<f32> = (0..RAYS).map(|_| rng.normal() as f32).collect();
-            out.iter_mut().enumerate().for_each(|(k, v)| *v = once[(k + 2 * RAYS - OVERLAP - rays) % RAYS]);
+            out.iter_mut().enumerate().for_each(|(k, v)| *v = once[(k + 2 * RAYS - MARGIN - rays) % RAYS]);
         }
         out
     }
@@ -184,20 +200,23 @@ mod tests {
         assert_eq!(Network::weights(&network), weights);
     }
 
-    /// Turned by whole directions, the same is said of its being a marker, but not of its box.
+    /// Turned by whole directions, the same is said of its being a marker, but not of where its box lies.
     #[test]
     fn turning_changes_no_logit() {
         let (network, _) = network(&Device::flex());
         let opinions = network.opinions([view(0), view(20), view(21)].concat());
-        assert!((opinions[0].logit - opinions[1].logit).abs() < 1e-4, "{opinions:?}");
-        assert!((opinions[0].logit - opinions[2].logit).abs() > 1e-4, "{opinions:?}");
+        assert!((opinions[0].logits[1] - opinions[1].logits[1]).abs() < 1e-4, "{opinions:?}");
+        assert!((opinions[0].logits[1] - opinions[2].logits[1]).abs() > 1e-4, "{opinions:?}");
         assert!(opinions[0].bounds.iter().zip(opinions[1].bounds).any(|(a, b)| (a - b).abs() > 1e-3), "{opinions:?}");
     }
 
     #[test]
-    fn neighbours_go_around() {
-        let x = Tensor::<4>::from_data(TensorData::new(vec![0f32, 1.0, 2.0, 3.0], [1, 1, 4, 1]), &Device::flex());
-        assert_eq!(values(neighbours(x, 3)), [3.0, 0.0, 1.0, 0.0, 1.0, 2.0, 1.0, 2.0, 3.0, 2.0, 3.0, 0.0]);
+    fn logits_move_and_nothing_else() {
+        let (network, mut weights) = network(&Device::flex());
+        move_logits(&mut weights, -1.5);
+        let moved = RefinerNet::new(&weights, &Device::flex()).unwrap();
+        let [a, b] = [&network, &moved].map(|network| network.opinions(view(0))[0]);
+        assert!(a.logits.iter().zip(b.logits).all(|(a, b)| (a - 1.5 - b).abs() < 1e-5) && a.bounds == b.bounds && a.frame == b.frame);
     }
 
     /// Every parameter gets a gradient.

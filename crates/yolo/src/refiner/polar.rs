@@ -1,5 +1,6 @@
 //! What the refiner looks at: a claim in polar coordinates around its middle, where the arms of a marker are straight bars side by side and
 //! turning it is shifting it, so that they can be counted wherever they point.
+use super::frame::{self, Frame, Linear};
 use image::RgbImage;
 use tcross_dataset::PixelBox;
 
@@ -7,18 +8,18 @@ use tcross_dataset::PixelBox;
 pub const RINGS: usize = 16;
 /// Columns that go once around.
 pub const RAYS: usize = 72;
-/// Columns that are seen again on each side, so that what lies across the seam is seen whole: at least as many as the layers over a view
-/// reach to one side, 1 + 2 * 2 + 2 * 4.
-pub const OVERLAP: usize = 16;
+/// Columns that are seen again on each side, so that what lies across the seam is seen whole: as many as two layers over a view reach to one
+/// side.
+pub const MARGIN: usize = 2;
 /// All columns of a view.
-pub const COLUMNS: usize = RAYS + 2 * OVERLAP;
+pub const COLUMNS: usize = RAYS + 2 * MARGIN;
 /// Numbers of a view, `[3, RINGS, COLUMNS]`.
 pub const VIEW: usize = 3 * RINGS * COLUMNS;
 
 /// Pixels of a patch's side.
 const SIDE: usize = 64;
 /// Side of a patch in sides of its claim.
-const MARGIN: f32 = 1.7;
+const PATCH_SIDES: f32 = 1.7;
 /// Radii of the first and the last ring, in half sides of the box.
 const RADII: [f32; 2] = [0.08, 1.45];
 /// Added to a view's deviation: what is nearly even is not blown up.
@@ -75,7 +76,7 @@ impl Patch {
 
     /// Bilinear between pixels' middles; the outermost go on. In the claim's units.
     fn at(&self, x: f32, y: f32) -> [f32; 3] {
-        let place = |v: f32| ((v / MARGIN + 1.0) * (SIDE as f32 / 2.0) - 0.5).clamp(0.0, SIDE as f32 - 1.001);
+        let place = |v: f32| ((v / PATCH_SIDES + 1.0) * (SIDE as f32 / 2.0) - 0.5).clamp(0.0, SIDE as f32 - 1.001);
         let (x, y) = (place(x), place(y));
         let (left, top) = (x as usize, y as usize);
         let (fx, fy) = (x - left as f32, y - top as f32);
@@ -96,7 +97,7 @@ fn sides(claim: &PixelBox) -> [f64; 2] {
 /// Which pixels of a row, and with which weights, make each of a patch's pixels: a triangle as wide as a step, or as a pixel of the image
 /// if that is wider.
 fn taps(center: f64, side: f64, length: usize) -> Vec<(usize, Vec<f32>)> {
-    let step = side * f64::from(MARGIN) / SIDE as f64;
+    let step = side * f64::from(PATCH_SIDES) / SIDE as f64;
     let reach = step.max(1.0);
     let last = length as f64 - 1.0;
     let one = |k: usize| {
@@ -114,15 +115,13 @@ fn taps(center: f64, side: f64, length: usize) -> Vec<(usize, Vec<f32>)> {
     (0..SIDE).map(one).collect()
 }
 
-/// How a patch is looked at: which box is taken for the marker's, and, in training, how it is turned over and coloured anew.
+/// How a patch is looked at: what is taken for the marker, and, in training, how it is turned over and coloured anew.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Glance {
-    /// Middle of that box in the claim's units.
+    /// Middle of the view in the claim's units.
     pub center: [f32; 2],
-    /// Its half sides in the claim's units; a negative one mirrors.
-    pub half: [f32; 2],
-    /// Whether x and y change places.
-    pub transposed: bool,
+    /// Takes the view's units around its middle to the claim's.
+    pub axes: Linear,
     /// Which channel is seen as red, as green and as blue.
     pub channels: [usize; 3],
     /// Whether bright is seen as dark.
@@ -132,44 +131,57 @@ pub struct Glance {
 impl Default for Glance {
     /// At the claim itself.
     fn default() -> Self {
-        Self { center: [0.0; 2], half: [1.0; 2], transposed: false, channels: [0, 1, 2], negative: false }
+        Self { center: [0.0; 2], axes: [[1.0, 0.0], [0.0, 1.0]], channels: [0, 1, 2], negative: false }
     }
 }
 
 impl Glance {
-    /// At another box, given in the claim's units.
+    /// At another box or in a marker's own frame, given in the claim's units.
     #[must_use]
-    pub fn at(b: UnitBox) -> Self {
-        Self { center: [(b[0] + b[2]) / 2.0, (b[1] + b[3]) / 2.0], half: [(b[2] - b[0]) / 2.0, (b[3] - b[1]) / 2.0], ..Self::default() }
+    pub fn at(frame: &Frame) -> Self {
+        Self { center: frame.center, axes: frame.axes, ..Self::default() }
     }
 
-    /// A box in the claim's units as it is seen.
+    /// The same through another map before.
+    #[must_use]
+    pub fn after(self, first: &Linear) -> Self {
+        Self { axes: frame::product(&self.axes, first), ..self }
+    }
+
+    /// A box in the claim's units as it is seen: of upright glances.
     #[must_use]
     pub fn seen(&self, b: UnitBox) -> UnitBox {
-        let axis = |axis: usize| {
-            let [a, b] = [b[axis], b[axis + 2]].map(|v| (v - self.center[axis]) / self.half[axis]);
-            [a.min(b), a.max(b)]
-        };
-        let [x, y] = if self.transposed { [axis(1), axis(0)] } else { [axis(0), axis(1)] };
-        [x[0], y[0], x[1], y[1]]
+        let back = frame::inverse(&self.axes);
+        around([[b[0], b[1]], [b[2], b[3]]].map(|p| frame::apply(&back, [p[0] - self.center[0], p[1] - self.center[1]])))
     }
 
     /// A box as it is seen, in the claim's units.
     #[must_use]
     pub fn unseen(&self, b: UnitBox) -> UnitBox {
-        let [left, top, right, bottom] = if self.transposed { [b[1], b[0], b[3], b[2]] } else { b };
-        let axis = |axis: usize, low: f32, high: f32| {
-            let [a, b] = [low, high].map(|v| v * self.half[axis] + self.center[axis]);
-            [a.min(b), a.max(b)]
+        let there = |p: [f32; 2]| {
+            let moved = frame::apply(&self.axes, p);
+            [self.center[0] + moved[0], self.center[1] + moved[1]]
         };
-        let ([left, right], [top, bottom]) = (axis(0, left, right), axis(1, top, bottom));
-        [left, top, right, bottom]
+        around([there([b[0], b[1]]), there([b[2], b[3]])])
+    }
+
+    /// A frame in the claim's units as it is seen.
+    #[must_use]
+    pub fn seen_frame(&self, f: &Frame) -> Frame {
+        let back = frame::inverse(&self.axes);
+        f.mapped(frame::apply(&back, self.center.map(|v| -v)), &back)
+    }
+
+    /// A frame as it is seen, in the claim's units.
+    #[must_use]
+    pub fn unseen_frame(&self, f: &Frame) -> Frame {
+        f.mapped(self.center, &self.axes)
     }
 
     /// The same as a mirror shows it, left and right exchanged.
     #[must_use]
     pub fn mirrored(self) -> Self {
-        Self { half: [-self.half[0], self.half[1]], ..self }
+        self.after(&[[-1.0, 0.0], [0.0, 1.0]])
     }
 
     /// The view, `[3, RINGS, COLUMNS]`: of mean 0 and, unless it is nearly even, of deviation 1.
@@ -180,36 +192,46 @@ impl Glance {
         assert_eq!(out.len(), VIEW, "a view");
         let plane = RINGS * COLUMNS;
         for (ray, (sin, cos)) in (0..RAYS).map(|ray| (ray, (std::f32::consts::TAU * ray as f32 / RAYS as f32).sin_cos())) {
-            let direction = if self.transposed { [sin, cos] } else { [cos, sin] };
+            let direction = frame::apply(&self.axes, [cos, sin]);
             for ring in 0..RINGS {
                 let radius = RADII[0] + (RADII[1] - RADII[0]) * ring as f32 / (RINGS - 1) as f32;
-                let [x, y] = [0, 1].map(|axis| self.center[axis] + radius * direction[axis] * self.half[axis]);
+                let [x, y] = [0, 1].map(|axis| self.center[axis] + radius * direction[axis]);
                 let pixel = patch.at(x, y);
                 for (channel, &source) in self.channels.iter().enumerate() {
-                    out[channel * plane + ring * COLUMNS + OVERLAP + ray] = pixel[source];
+                    out[channel * plane + ring * COLUMNS + MARGIN + ray] = pixel[source];
                 }
             }
         }
-        let once = |row: &[f32]| -> Vec<f32> { row[OVERLAP..OVERLAP + RAYS].to_vec() };
+        let once = |row: &[f32]| -> Vec<f32> { row[MARGIN..MARGIN + RAYS].to_vec() };
         let all: Vec<f32> = out.chunks_exact(COLUMNS).flat_map(once).collect();
         let mean = all.iter().sum::<f32>() / all.len() as f32;
         let deviation = (all.iter().map(|v| (v - mean).powi(2)).sum::<f32>() / all.len() as f32).sqrt();
         let scale = if self.negative { -1.0 } else { 1.0 } / (deviation + FLAT);
         for row in out.chunks_exact_mut(COLUMNS) {
-            row[OVERLAP..OVERLAP + RAYS].iter_mut().for_each(|v| *v = (*v - mean) * scale);
-            row.copy_within(RAYS..RAYS + OVERLAP, 0);
-            row.copy_within(OVERLAP..2 * OVERLAP, OVERLAP + RAYS);
+            row[MARGIN..MARGIN + RAYS].iter_mut().for_each(|v| *v = (*v - mean) * scale);
+            row.copy_within(RAYS..RAYS + MARGIN, 0);
+            row.copy_within(MARGIN..2 * MARGIN, MARGIN + RAYS);
         }
     }
+}
+
+/// The box of two opposite corners.
+fn around([a, b]: [[f32; 2]; 2]) -> UnitBox {
+    [a[0].min(b[0]), a[1].min(b[1]), a[0].max(b[0]), a[1].max(b[1])]
+}
+
+/// The claim's units for a point in continuous pixels.
+#[must_use]
+pub fn point_in_units_of(claim: &PixelBox, p: [f64; 2]) -> [f32; 2] {
+    let (center, sides) = (claim.center(), sides(claim));
+    std::array::from_fn(|axis| ((p[axis] - center[axis]) / (sides[axis] / 2.0)) as f32)
 }
 
 /// The claim's units for a box in continuous pixels.
 #[must_use]
 pub fn in_units_of(claim: &PixelBox, b: &PixelBox) -> UnitBox {
-    let ([cx, cy], [width, height]) = (claim.center(), sides(claim));
-    let x = |v: f64| ((v - cx) / (width / 2.0)) as f32;
-    let y = |v: f64| ((v - cy) / (height / 2.0)) as f32;
-    [x(b.x_min), y(b.y_min), x(b.x_max), y(b.y_max)]
+    let [[left, top], [right, bottom]] = [[b.x_min, b.y_min], [b.x_max, b.y_max]].map(|p| point_in_units_of(claim, p));
+    [left, top, right, bottom]
 }
 
 /// Back to continuous pixels.
@@ -247,12 +269,12 @@ mod tests {
     fn arms_are_bars_where_they_point() {
         let (image, claim) = image();
         let view = view(&Patch::cut(&image, &claim), Glance::default());
-        let bright = |ray: usize| view[(RINGS / 2) * COLUMNS + OVERLAP + ray] > 0.5;
+        let bright = |ray: usize| view[(RINGS / 2) * COLUMNS + MARGIN + ray] > 0.5;
         assert!([0, RAYS / 4, RAYS / 2].into_iter().all(bright));
         assert!([RAYS / 8, 3 * RAYS / 8, 5 * RAYS / 8, 3 * RAYS / 4, 7 * RAYS / 8].into_iter().all(|ray| !bright(ray)));
         // The seam is seen from both sides.
-        assert_eq!(view[..OVERLAP], view[RAYS..RAYS + OVERLAP]);
-        assert_eq!(view[COLUMNS - OVERLAP..COLUMNS], view[OVERLAP..2 * OVERLAP]);
+        assert_eq!(view[..MARGIN], view[RAYS..RAYS + MARGIN]);
+        assert_eq!(view[COLUMNS - MARGIN..COLUMNS], view[MARGIN..2 * MARGIN]);
     }
 
     /// A large claim and the same at a quarter of the size give the same view: nothing is left out between the samples.
@@ -271,23 +293,50 @@ mod tests {
         let (image, claim) = image();
         let mirrored = image::imageops::flip_vertical(&image);
         let other = PixelBox { y_min: 90.0 - claim.y_max, y_max: 90.0 - claim.y_min, ..claim };
-        let a = view(&Patch::cut(&image, &claim), Glance { half: [1.0, -1.0], ..Default::default() });
+        let a = view(&Patch::cut(&image, &claim), Glance { axes: [[1.0, 0.0], [0.0, -1.0]], ..Default::default() });
         let b = view(&Patch::cut(&mirrored, &other), Glance::default());
         let worst = a.iter().zip(&b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(worst < 0.05, "{worst}");
     }
 
     #[test]
-    fn boxes_move_with_the_glance() {
-        let glance = Glance { center: [0.1, -0.2], half: [-0.5, 2.0], transposed: true, ..Default::default() };
-        // x: (0.6 - 0.1) / -0.5 = -1, (1.1 - 0.1) / -0.5 = -2; y: (0 + 0.2) / 2 = 0.1, (1.8 + 0.2) / 2 = 1; then they change places.
-        let seen = glance.seen([0.6, 0.0, 1.1, 1.8]);
-        assert!(seen.iter().zip([0.1, -2.0, 1.0, -1.0]).all(|(a, b)| (a - b).abs() < 1e-6), "{seen:?}");
+    fn boxes_and_frames_move_with_the_glance() {
+        let glance = Glance { center: [0.1, -0.2], axes: [[0.0, -0.5], [2.0, 0.0]], ..Default::default() };
+        // Seen y is (x - 0.1) / -0.5: -1 and -2; seen x is (y + 0.2) / 2: 0.1 and 1.
         let b = [0.6, 0.0, 1.1, 1.8];
-        assert!(glance.unseen(seen).iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-6), "the way back");
-        let at = Glance::at([-0.5, 0.0, 1.5, 1.0]);
-        assert_eq!(at.seen(at.unseen([-1.0, -1.0, 1.0, 1.0])), [-1.0, -1.0, 1.0, 1.0]);
-        assert_eq!(at.unseen([-1.0, -1.0, 1.0, 1.0]), [-0.5, 0.0, 1.5, 1.0]);
+        let close = |a: UnitBox, b: UnitBox| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-6);
+        let seen = glance.seen(b);
+        assert!(close(seen, [0.1, -2.0, 1.0, -1.0]) && close(glance.unseen(seen), b), "{seen:?}");
+        let at = Glance::at(&Frame::of_box([-0.5, 0.0, 1.5, 1.0]));
+        assert!(close(at.unseen([-1.0, -1.0, 1.0, 1.0]), [-0.5, 0.0, 1.5, 1.0]));
+        // The frame of an upright marker goes with its box, there and back.
+        let numbers = |f: Frame| [f.center[0], f.center[1], f.axes[0][0], f.axes[1][1]];
+        let (frame, of_seen) = (Frame::of_box(b), Frame::of_box(seen));
+        assert!(close(numbers(glance.seen_frame(&frame)), numbers(of_seen)), "{of_seen:?}");
+        assert!(close(numbers(glance.unseen_frame(&of_seen)), numbers(frame)));
+    }
+
+    /// A marker that is slanted looks, in its frame, as it does without, but for how far it is turned.
+    #[test]
+    fn a_slanted_marker_looks_upright_in_its_frame() {
+        let (_, claim) = image();
+        let upright: Linear = [[1.0, 0.0], [0.0, 1.0]];
+        let slant: Linear = [[1.0, 0.5], [0.1, 0.8]];
+        let seen = |map: &Linear| {
+            let back = frame::inverse(map);
+            let image = RgbImage::from_fn(120, 90, |x, y| {
+                let [x, y] = frame::apply(&back, [x as f32 + 0.5 - 60.0, y as f32 + 0.5 - 40.0]);
+                let bar = y.abs() < 2.5 || (x.abs() < 2.5 && y > 0.0);
+                if x.abs().max(y.abs()) < 16.0 && bar { Rgb([250; 3]) } else { Rgb([20, 90, 20]) }
+            });
+            let corners = [[-0.64, -0.64], [0.64, -0.64], [0.64, 0.64], [-0.64, 0.64]].map(|p| frame::apply(map, p));
+            view(&Patch::cut(&image, &claim), Glance::at(&Frame::of(corners, [0.0; 2])))
+        };
+        let (plain, slanted) = (seen(&upright), seen(&slant));
+        let ring = (RINGS / 2) * COLUMNS + MARGIN;
+        let apart = |turn: usize| (0..RAYS).map(|k| (plain[ring + k] - slanted[ring + (k + turn) % RAYS]).abs()).sum::<f32>() / RAYS as f32;
+        let best = (0..RAYS).map(apart).fold(f32::MAX, f32::min);
+        assert!(best < 0.2 && apart(RAYS / 2) > 0.4, "{best} {}", apart(RAYS / 2));
     }
 
     #[test]

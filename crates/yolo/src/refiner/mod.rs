@@ -61,17 +61,22 @@ impl Refiner {
     pub fn refine(&self, image: &RgbImage, claims: &[Detection], options: &DetectOptions) -> Vec<Detection> {
         let extra = self.boxes.extra();
         let mut all: Vec<Looked> = claims.iter().map(|claim| Looked::new(image, claim, extra)).collect();
-        let first = self.look(&all, |one| Glance::at(&Frame::of_box(one.bounds)));
-        all.iter_mut().zip(first).for_each(|(one, (_, seen))| one.bounds = sound(seen.bounds));
-        let second = self.look(&all, |one| Glance::at(&Frame::of_box(one.bounds)));
-        for (one, (glance, seen)) in all.iter_mut().zip(second) {
-            (one.bounds, one.frame) = (glance.unseen(sound(seen.bounds)), glance.unseen_frame(&seen.frame).sound());
+        let hopeful = |all: &mut Vec<Looked>| all.retain(|one| joined(one.claim.score, one.logit) >= HOPE * f64::from(options.score));
+        for _ in 0..2 {
+            let seen = self.look(&all, |one| Glance::at(&Frame::of_box(one.bounds)));
+            for (one, (glance, seen)) in all.iter_mut().zip(seen) {
+                one.bounds = sound(glance.unseen(sound(seen.bounds)));
+                one.frame = glance.unseen_frame(&seen.frame).sound();
+                one.logit = seen.logits[0];
+            }
+            hopeful(&mut all);
         }
         let third = self.look(&all, |one| Glance::at(&one.frame));
         for (one, (glance, seen)) in all.iter_mut().zip(third) {
-            (one.logit, one.frame) = (seen.logits[1], glance.unseen_frame(&seen.frame).sound());
+            one.frame = glance.unseen_frame(&seen.frame).sound();
+            one.logit = seen.logits[1];
         }
-        all.retain(|one| joined(one.claim.score, one.logit) >= HOPE * f64::from(options.score));
+        hopeful(&mut all);
         let fourth = self.look(&all, |one| Glance::at(&one.frame).mirrored());
         all.iter_mut().zip(fourth).for_each(|(one, (_, seen))| one.logit = (one.logit + seen.logits[1]) / 2.0);
         let refined = all.iter().map(|one| {

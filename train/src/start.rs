@@ -74,7 +74,7 @@ pub(crate) fn weights(config: &Config, network: &ModelConfig, seed: u64) -> Resu
 /// them, and those that do not change what is learned, the network, the data's digests.
 pub(crate) fn identity(config: &Config, network: &ModelConfig, dataset: &Dataset, seed: u64) -> Result<String, TrainError> {
     let fixed = Config::default();
-    let refine = Refine { epochs: fixed.refine.epochs, max_minutes: None, ..config.refine.clone() };
+    let refine = Refine { epochs: fixed.refine.epochs, max_minutes: None, false_cost: fixed.refine.false_cost, ..config.refine.clone() };
     let config = Config {
         refine,
         epochs: None,

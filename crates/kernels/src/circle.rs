@@ -15,9 +15,12 @@ pub struct Circle {
 }
 
 impl Circle {
-    /// Numbers of an image.
-    fn image(&self) -> usize {
-        self.size[1..].iter().product()
+    /// Numbers of an image, of which `numbers` has as many as it should.
+    fn image(&self, numbers: &[f32]) -> usize {
+        let [batch, height, width, channels] = self.size;
+        assert!(self.count > 0 && self.first + self.count <= width, "{self:?}");
+        assert_eq!(numbers.len(), batch * height * width * channels, "{self:?}");
+        height * width * channels
     }
 
     /// Where the column `steps` to the right of another one of the circle begins, in an image's row `y`.
@@ -29,14 +32,14 @@ impl Circle {
     /// The circle with `margin` columns of it repeated on each side: `[batch, height, count + 2 * margin, channels]`.
     ///
     /// # Panics
-    /// If `x` is not of the circle's size.
+    /// If `x` is not of the circle's size, or the circle does not lie in it.
     #[must_use]
     pub fn wrap(&self, x: &[f32], margin: usize) -> Vec<f32> {
         let [batch, height, _, channels] = self.size;
-        assert_eq!(x.len(), batch * self.image());
+        let image = self.image(x);
         let width = self.count + 2 * margin;
         let mut out = buffer(batch * height * width * channels);
-        let images = out.par_chunks_exact_mut(height * width * channels).zip(x.par_chunks_exact(self.image()));
+        let images = out.par_chunks_exact_mut(height * width * channels).zip(x.par_chunks_exact(image));
         images.for_each(|(out, x)| {
             for (y, out) in out.chunks_exact_mut(width * channels).enumerate() {
                 for (column, out) in out.chunks_exact_mut(channels).enumerate() {
@@ -48,13 +51,17 @@ impl Circle {
     }
 
     /// The gradient of [`Circle::wrap`]'s input.
+    ///
+    /// # Panics
+    /// If `gradient` is not of the size of what was made, or the circle does not lie in its activation.
     #[must_use]
     pub fn wrap_gradient(&self, gradient: &[f32], margin: usize) -> Vec<f32> {
         let [batch, height, _, channels] = self.size;
         let width = self.count + 2 * margin;
         assert_eq!(gradient.len(), batch * height * width * channels);
-        let mut out = vec![0.0; batch * self.image()];
-        let images = out.par_chunks_exact_mut(self.image()).zip(gradient.par_chunks_exact(height * width * channels));
+        let mut out = vec![0.0; self.size.iter().product()];
+        let image = self.image(&out);
+        let images = out.par_chunks_exact_mut(image).zip(gradient.par_chunks_exact(height * width * channels));
         images.for_each(|(out, gradient)| {
             for (y, gradient) in gradient.chunks_exact(width * channels).enumerate() {
                 for (column, gradient) in gradient.chunks_exact(channels).enumerate() {
@@ -69,14 +76,14 @@ impl Circle {
     /// `[batch, 1, count, arc * height * channels]`.
     ///
     /// # Panics
-    /// If `x` is not of the circle's size.
+    /// If `x` is not of the circle's size, or the circle does not lie in it.
     #[must_use]
     pub fn around(&self, x: &[f32], arc: usize) -> Vec<f32> {
         let [batch, height, _, channels] = self.size;
-        assert_eq!(x.len(), batch * self.image());
+        let image = self.image(x);
         let seen = arc * height * channels;
         let mut out = buffer(batch * self.count * seen);
-        let images = out.par_chunks_exact_mut(self.count * seen).zip(x.par_chunks_exact(self.image()));
+        let images = out.par_chunks_exact_mut(self.count * seen).zip(x.par_chunks_exact(image));
         images.for_each(|(out, x)| {
             for (column, out) in out.chunks_exact_mut(seen).enumerate() {
                 for (k, out) in out.chunks_exact_mut(channels).enumerate() {
@@ -89,13 +96,17 @@ impl Circle {
     }
 
     /// The gradient of [`Circle::around`]'s input.
+    ///
+    /// # Panics
+    /// If `gradient` is not of the size of what was made, or the circle does not lie in its activation.
     #[must_use]
     pub fn around_gradient(&self, gradient: &[f32], arc: usize) -> Vec<f32> {
         let [batch, height, _, channels] = self.size;
         let seen = arc * height * channels;
         assert_eq!(gradient.len(), batch * self.count * seen);
-        let mut out = vec![0.0; batch * self.image()];
-        let images = out.par_chunks_exact_mut(self.image()).zip(gradient.par_chunks_exact(self.count * seen));
+        let mut out = vec![0.0; self.size.iter().product()];
+        let image = self.image(&out);
+        let images = out.par_chunks_exact_mut(image).zip(gradient.par_chunks_exact(self.count * seen));
         images.for_each(|(out, gradient)| {
             for (column, gradient) in gradient.chunks_exact(seen).enumerate() {
                 for (k, gradient) in gradient.chunks_exact(channels).enumerate() {

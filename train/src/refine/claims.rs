@@ -24,7 +24,7 @@ const CHUNK: usize = 64;
 pub struct Claim {
     /// Its surroundings.
     pub patch: Patch,
-    /// What the detector says: the logit that the second stage's is added to; 0 for boxes that it did not claim.
+    /// What is taken up of the detector's logit, to which the second stage's is added; 0 for boxes that it did not claim.
     pub logit: f32,
     /// How many claims it stands for: of those that mean nothing and that the detector hardly believes, some are left out.
     pub weight: f32,

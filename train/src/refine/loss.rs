@@ -4,7 +4,7 @@
 use super::claims::Truth;
 use tcross_yolo::refiner::{Frame, Opinion, net::OUTPUTS};
 
-/// Where the box's loss goes over from a square to a line, in half sides.
+/// Where the loss of the box and of the frame goes over from a square to a line, in the view's units.
 const BEND: f32 = 0.1;
 
 /// The loss of one view.
@@ -21,7 +21,7 @@ pub struct ViewLoss {
 }
 
 impl ViewLoss {
-    /// That of as many views.
+    /// As if there were `count` such views.
     #[must_use]
     pub fn times(self, count: f32) -> Self {
         Self {

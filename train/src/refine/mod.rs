@@ -43,7 +43,7 @@ use tcross_yolo::{
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Refine {
-    /// Length in passes over the claims; 0 for no second stage.
+    /// Length in passes: as many looks as there are claims, though some claims are looked at more often than others; 0 for no second stage.
     pub epochs: f64,
     /// Length in minutes of wall time, after those of the detector; the length that ends first counts.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -58,12 +58,12 @@ pub struct Refine {
     pub optimizer: Optimizer,
     /// Decay of the moving average of the weights, which is what is kept; 0 for none.
     pub ema: f64,
-    /// Deviation of the logarithm of a view's width and of its height.
+    /// Deviation of the logarithm of a view's width and of its height; half of it that of a frame's stretch and slant.
     pub scale: f64,
-    /// Deviation of a view's middle, in half sides.
+    /// Deviation of a view's middle, in half sides; half of it in a frame.
     pub shift: f64,
-    /// How many missed markers a false claim is as bad as: where a claim is as probable that it costs as much as it brings, its score is
-    /// 0.5. At 1, scores are probabilities.
+    /// How many missed markers a false claim is as bad as: what is a marker with odds of `false_cost` to 1 gets a score of 0.5. At 1, scores
+    /// are probabilities.
     pub false_cost: f64,
 }
 
@@ -150,23 +150,27 @@ impl Work<'_> {
             claims.len(),
             started.elapsed().as_secs_f64()
         ))?;
-        let mut state = self.start()?;
+        let (mut state, memory) = self.start(claims.len())?;
         if state.progress.step == 0 {
             // Finding the claims is part of the time; a resumed training has counted it already.
             state.progress.seconds = started.elapsed().as_secs_f64();
         }
-        match self.learn(&claims, state, progress)? {
+        match self.learn(&claims, state, memory, progress)? {
             Some((weights, at)) => self.keep(detector, &weights, &at, progress).map(|()| End::Finished),
             None => Ok(End::Interrupted),
         }
     }
 
     /// Where a stopped training of the same second stage was, else the beginning.
-    fn start(&self) -> Result<State, TrainError> {
+    fn start(&self, claims: usize) -> Result<(State, Memory), TrainError> {
         let identity = format!("{}best.safetensors = {}\n", self.identity, files::digest(self.run.path("best.safetensors"))?);
         let layers = net::layers();
-        let saved = self.options.resume.then(|| State::read(&self.run.path(STATE), &identity, &layers).ok()).flatten();
-        let weights = || Weights::init(&layers, &BoxFields::plain(1), &Default::default(), self.options.seed);
+        let seed = self.options.seed;
+        let saved = self.options.resume.then(|| State::read(&self.run.path(STATE), &identity, &layers).ok()).flatten().and_then(|state| {
+            let memory = Memory::again(seed, claims, state.progress.claims, &state.claims)?;
+            Some((state, memory))
+        });
+        let weights = || Weights::init(&layers, &BoxFields::plain(1), &Default::default(), seed);
         let fresh = || State {
             progress: state::Progress::start(identity),
             average: weights(),
@@ -174,7 +178,7 @@ impl Work<'_> {
             slots: Vec::new(),
             claims: Vec::new(),
         };
-        Ok(saved.unwrap_or_else(fresh))
+        Ok(saved.unwrap_or_else(|| (fresh(), Memory::new(seed, claims))))
     }
 
     /// Steps until the end, to the averaged weights; none if stopped. What was learned is saved in both cases.
@@ -182,18 +186,16 @@ impl Work<'_> {
         &self,
         claims: &[Claim],
         state: State,
+        mut memory: Memory,
         progress: &mut dyn FnMut(Progress),
     ) -> Result<Option<(Weights, state::Progress)>, TrainError> {
         let config = &self.config.refine;
-        let State { progress: mut at, weights, average, slots, claims: remembered } = state;
+        let State { progress: mut at, weights, average, slots, .. } = state;
         let device = Device::flex().autodiff();
         let copy = || Ok(RefinerNet::new(&weights, &device)?);
         let mut learner = Learner::new(config.batch_parts, &config.optimizer, CLIP, ClipBy::Global, copy)?;
         learner.set_slots(slots);
         let mut ema = Ema::new(average, config.ema);
-        let seed = self.options.seed;
-        let remembered = Memory::again(seed, claims.len(), at.claims, &remembered);
-        let mut memory = remembered.unwrap_or_else(|| Memory::new(seed, claims.len()));
         let steps_per_epoch = claims.len() as f64 / config.batch as f64;
         let length = Length::of_steps(steps_per_epoch, (config.epochs * steps_per_epoch).ceil() as u64, config.max_minutes);
         let schedule = Schedule { warmup: WARMUP, ..Schedule::default() };
@@ -215,10 +217,11 @@ impl Work<'_> {
                 return Ok((fraction >= 1.0).then_some((ema.weights, at)));
             }
             let looks = self.looks(&mut memory, at.step);
-            let views = looks.par_iter().map(|look| View::new(look, &claims[look.claim])).collect();
-            let mut passed = learner.pass(parts(views, config.batch_parts), |network, part| pass(network, part, &device))?;
-            for (look, said) in looks.iter().zip(std::mem::take(&mut passed.said).chunks_exact(OUTPUTS)) {
-                memory.note(look.claim, look.seen(&Opinion::of(said), &claims[look.claim]));
+            let views: Vec<View> = looks.par_iter().map(|look| View::new(*look, &claims[look.claim])).collect();
+            let mut passed = learner.pass(parts(&views, config.batch_parts), |network, part| pass(network, part, &device))?;
+            passed.terms = told(&views, &passed.said);
+            for (view, said) in views.iter().zip(passed.said.chunks_exact(OUTPUTS)) {
+                memory.note(view.look.claim, view.seen(&Opinion::of(said)));
             }
             let rate = config.optimizer.rate * schedule.factor(at.step, fraction, &length);
             let output = learner.learn(passed, rate, at.step);
@@ -260,8 +263,8 @@ impl Work<'_> {
         }
     }
 
-    /// Which claims a step looks at, and how, each drawn from (seed, step, place in the batch): where the claim is the first time, later
-    /// mostly in the frame in which it was seen last.
+    /// Which claims a step looks at, by what is remembered of them, and how, each drawn from (seed, step, place in the batch): where the
+    /// detector saw it the first time, later mostly in the frame in which it was seen last.
     fn looks(&self, memory: &mut Memory, step: u64) -> Vec<Look> {
         let config = &self.config.refine;
         let chosen: Vec<_> = (0..config.batch).map(|_| memory.next()).collect();
@@ -342,7 +345,7 @@ impl Work<'_> {
     }
 }
 
-/// How a claim is seen first: mirrored, turned over, moved and stretched a little, its colours exchanged.
+/// How a claim is seen where the detector saw it: mirrored, turned over, moved and stretched a little, its colours exchanged.
 fn glance(rng: &mut Rng, config: &Refine) -> Glance {
     let half = [0; 2].map(|_| {
         let side = (config.scale * rng.normal()).clamp(-1.0, 1.0).exp() as f32;
@@ -358,7 +361,7 @@ fn glance_at(rng: &mut Rng, config: &Refine, frame: &Frame) -> Glance {
     let (sin, cos) = rng.uniform(0.0, std::f64::consts::TAU).sin_cos();
     let mirror = if rng.chance(0.5) { -1.0 } else { 1.0 };
     let turn = [[cos as f32, (-sin * mirror) as f32], [sin as f32, (cos * mirror) as f32]];
-    let jitter = |rng: &mut Rng| (0.5 * config.scale * rng.normal()).clamp(-0.5, 0.5) as f32;
+    let jitter = |rng: &mut Rng| (0.5 * config.scale * rng.normal()).clamp(-0.2, 0.2) as f32;
     let slant = [[1.0 + jitter(rng), jitter(rng)], [jitter(rng), 1.0 + jitter(rng)]];
     let at = Glance::at(frame);
     let moved = frame::apply(&at.axes, [0; 2].map(|_| (0.5 * config.shift * rng.normal()) as f32));
@@ -383,67 +386,70 @@ struct Look {
     framed: bool,
 }
 
-impl Look {
-    /// What is to be remembered of it.
-    fn seen(&self, said: &Opinion, claim: &Claim) -> Seen {
-        let score = 1.0 / (1.0 + (-claim.logit - said.logits[usize::from(self.framed)]).exp());
-        let error = if claim.truth.is_some() { 1.0 - score } else { score };
-        Seen { frame: self.glance.unseen_frame(&said.frame).sound(), error }
-    }
-}
-
 /// What the network is shown, and what is to be said of it.
-struct View {
+struct View<'a> {
+    look: Look,
+    claim: &'a Claim,
     pixels: Vec<f32>,
-    framed: bool,
-    logit: f32,
-    weight: f32,
+    /// The marker as it is seen; none for no marker.
     truth: Option<Truth>,
 }
 
-impl View {
-    fn judge(&self, said: &[f32]) -> loss::ViewLoss {
-        loss::judge(said, self.framed, self.logit, self.truth).times(self.weight)
-    }
-
-    fn new(look: &Look, claim: &Claim) -> Self {
+impl<'a> View<'a> {
+    fn new(look: Look, claim: &'a Claim) -> Self {
         let mut pixels = vec![0.0; VIEW];
         look.glance.look(&claim.patch, &mut pixels);
-        let truth = claim.truth.map(|truth| truth.seen(&look.glance));
-        Self { pixels, framed: look.framed, logit: claim.logit, weight: look.weight * claim.weight, truth }
+        Self { look, claim, pixels, truth: claim.truth.map(|truth| truth.seen(&look.glance)) }
+    }
+
+    /// How many views this one stands for.
+    fn weight(&self) -> f32 {
+        self.look.weight * self.claim.weight
+    }
+
+    fn judge(&self, said: &[f32]) -> loss::ViewLoss {
+        loss::judge(said, self.look.framed, self.claim.logit, self.truth).times(self.weight())
+    }
+
+    /// What is to be remembered of it.
+    fn seen(&self, said: &Opinion) -> Seen {
+        let score = 1.0 / (1.0 + (-self.claim.logit - said.logits[usize::from(self.look.framed)]).exp());
+        let error = if self.truth.is_some() { 1.0 - score } else { score };
+        Seen { frame: self.look.glance.unseen_frame(&said.frame).sound(), error }
     }
 }
 
 /// A batch in parts of about the same size.
-fn parts(mut views: Vec<View>, parts: usize) -> Vec<Vec<View>> {
-    let count = views.len();
-    let mut all: Vec<Vec<View>> = (1..parts).rev().map(|k| views.split_off(k * count / parts)).collect();
-    all.push(views);
-    all.reverse();
-    all
+fn parts<T>(all: &[T], parts: usize) -> Vec<&[T]> {
+    (0..parts).map(|k| &all[k * all.len() / parts..(k + 1) * all.len() / parts]).collect()
 }
 
 /// Takes views through the network, to the gradient of each of its parameters.
-fn pass(network: &RefinerNet, views: Vec<View>, device: &Device) -> Result<Passed, TrainError> {
+fn pass(network: &RefinerNet, views: &[View], device: &Device) -> Result<Passed, TrainError> {
     let count = views.len();
     let pixels: Vec<f32> = views.iter().flat_map(|view| view.pixels.iter().copied()).collect();
     let outputs = network.forward(Tensor::from_data(TensorData::new(pixels, [count, 3, RINGS, COLUMNS]), device));
     let said = read_logits(&outputs);
-    let judged: Vec<_> = said.chunks_exact(OUTPUTS).zip(&views).map(|(said, view)| view.judge(said)).collect();
-    // What is told is the mean over all claims, of places over those where there is one to be said.
+    let of_view = |(said, view): (&[f32], &View)| view.judge(said).gradient.map(|g| g / count as f32);
+    let gradient = said.chunks_exact(OUTPUTS).zip(views).flat_map(of_view).collect();
+    let gradients = parameter_gradients(network, Path::for_device(device), [(outputs, gradient)]);
+    Ok(Passed { images: count, terms: LossTerms::default(), said, gradients })
+}
+
+/// The loss as it is told: its mean over all claims, that of places over those where there is one to be said.
+fn told(views: &[View], said: &[f32]) -> LossTerms {
+    let judged: Vec<_> = views.iter().zip(said.chunks_exact(OUTPUTS)).map(|(view, said)| (view, view.judge(said))).collect();
     let mean = |of: fn(&loss::ViewLoss) -> f32, counts: fn(&View) -> bool| {
-        let counted = || views.iter().zip(&judged).filter(|(view, _)| counts(view));
-        let sum: f64 = counted().map(|(_, one)| f64::from(of(one))).sum();
-        sum / counted().map(|(view, _)| f64::from(view.weight)).sum::<f64>().max(1.0)
+        let counted = || judged.iter().filter(|(view, _)| counts(view));
+        let weight: f64 = counted().map(|(view, _)| f64::from(view.weight())).sum();
+        counted().map(|(_, one)| f64::from(of(one))).sum::<f64>() / weight.max(1.0)
     };
-    let terms = LossTerms {
+    LossTerms {
         objectness: mean(|one| one.score, |_| true),
-        center: mean(|one| one.bounds, |view| view.truth.is_some() && !view.framed),
+        center: mean(|one| one.bounds, |view| view.truth.is_some() && !view.look.framed),
         size: mean(|one| one.frame, |view| view.truth.is_some()),
         ..LossTerms::default()
-    };
-    let gradient: Vec<f32> = judged.iter().flat_map(|one| one.gradient.map(|g| g / count as f32)).collect();
-    Ok(Passed { images: count, terms, said, gradients: parameter_gradients(network, Path::for_device(device), [(outputs, gradient)]) })
+    }
 }
 
 #[cfg(test)]
@@ -492,7 +498,11 @@ mod tests {
         toy::write(&at("data"), 12, 4, 64).unwrap();
         let (end, kept, losses) = train(&config(30.0), &at("data"), &at("a"), false, u64::MAX);
         for (k, what, share) in [(0, "score", 0.5), (1, "box", 0.7), (2, "frame", 0.7)] {
-            let mean = |part: &[[f64; 3]]| part.iter().map(|loss| loss[k]).sum::<f64>() / part.len() as f64;
+            // A step without a marker in a box says nothing of boxes.
+            let mean = |part: &[[f64; 3]]| {
+                let told: Vec<f64> = part.iter().map(|loss| loss[k]).filter(|loss| *loss > 0.0).collect();
+                told.iter().sum::<f64>() / told.len() as f64
+            };
             let part = losses.len() / 4;
             let (first, last) = (mean(&losses[..part]), mean(&losses[losses.len() - part..]));
             assert!(end == End::Finished && last < share * first, "{what}: {first} -> {last}");
@@ -525,10 +535,9 @@ mod tests {
 
     #[test]
     fn parts_share_out_all_views() {
-        let view = |k: usize| View { pixels: vec![k as f32], framed: false, logit: 0.0, weight: 1.0, truth: None };
-        let sizes = |count, n| parts((0..count).map(view).collect(), n).iter().map(Vec::len).collect::<Vec<_>>();
+        let all: Vec<usize> = (0..8).collect();
+        let sizes = |count, n| parts(&all[..count], n).iter().map(|part| part.len()).collect::<Vec<_>>();
         assert_eq!((sizes(8, 1), sizes(8, 2), sizes(7, 3)), (vec![8], vec![4, 4], vec![2, 2, 3]));
-        let all: Vec<f32> = parts((0..7).map(view).collect(), 3).into_iter().flatten().map(|v| v.pixels[0]).collect();
-        assert_eq!(all, (0..7).map(|k| k as f32).collect::<Vec<_>>());
+        assert_eq!(parts(&all, 3).concat(), all);
     }
 }

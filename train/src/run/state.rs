@@ -158,13 +158,8 @@ impl State {
         let count = (0..).take_while(|k| tensors.tensor(&format!("slots.{k}.first")).is_ok()).count();
         let slot = |k| Ok(Slot { first: values(&format!("slots.{k}.first"))?, second: values(&format!("slots.{k}.second"))? });
         let slots = (0..count).map(slot).collect::<Result<_, TrainError>>()?;
-        Ok(Self {
-            weights: weights("weights")?,
-            average: weights("average")?,
-            slots,
-            claims: values("claims").unwrap_or_default(),
-            progress,
-        })
+        let claims = if tensors.tensor("claims").is_ok() { values("claims")? } else { Vec::new() };
+        Ok(Self { weights: weights("weights")?, average: weights("average")?, slots, claims, progress })
     }
 }
 

@@ -55,9 +55,7 @@ pub fn wrap(x: Tensor<4>, first: usize, count: usize, margin: usize) -> Tensor<4
 
 pub fn around(x: Tensor<4>, first: usize, count: usize, arc: usize) -> Tensor<4> {
     let [batch, height, _, channels] = x.dims();
-    let margin = arc / 2;
-    let wrapped = wrap(x, first, count, margin.max(arc - 1 - margin)).swap_dims(1, 2);
-    let begin = margin.max(arc - 1 - margin) - margin;
-    let turned = |k| wrapped.clone().narrow(1, begin + k, count).reshape([batch, 1, count, height * channels]);
+    let wrapped = wrap(x, first, count, arc / 2).swap_dims(1, 2);
+    let turned = |k| wrapped.clone().narrow(1, k, count).reshape([batch, 1, count, height * channels]);
     Tensor::cat((0..arc).map(turned).collect(), 3)
 }

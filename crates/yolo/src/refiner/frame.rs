@@ -9,7 +9,7 @@ pub type Linear = [[f32; 2]; 2];
 const STRETCH: [f32; 2] = [0.08, 2.0];
 /// How far from the claim's middle a frame's may lie, in half sides.
 const FARTHEST: f32 = 1.2;
-/// What is taken for the area of a map that has none.
+/// What is taken for the area of a map that has none, and for the stretch of a frame that has none.
 const LEAST_AREA: f32 = 1e-6;
 
 /// `center + axes * p` takes a square of half side 1 to one of the marker's own stretch and slant.

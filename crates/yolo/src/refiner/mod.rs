@@ -1,6 +1,7 @@
 //! The second stage: each claim of a detector is looked at again, alone and in polar coordinates around its middle, and gets a new score
 //! and a new box. A narrow detector finds nearly all markers but is slow to learn to count their arms; where arms are parallel bars, that
-//! is easy, and easier still in the marker's own frame, where it is not tilted. (Second stages that refine boxes: Faster R-CNN, S. Ren and others, 2015; Cascade R-CNN, Z. Cai and N. Vasconcelos, 2018.)
+//! is easy, and easier still in the marker's own frame, where it is not tilted. (Second stages that refine boxes: Faster R-CNN,
+//! S. Ren and others, 2015; Cascade R-CNN, Z. Cai and N. Vasconcelos, 2018.)
 pub mod frame;
 pub mod net;
 pub mod polar;

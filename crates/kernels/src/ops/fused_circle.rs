@@ -53,48 +53,44 @@ impl FusedCircle for Flex {
     }
 }
 
-#[derive(Debug)]
-struct WrapBackward;
+/// [`Circle::wrap_gradient`] or [`Circle::around_gradient`].
+type Gradient = fn(&Circle, &[f32], usize) -> Vec<f32>;
 
-impl Backward<Flex, 1> for WrapBackward {
-    type State = (Circle, usize);
+#[derive(Debug)]
+struct CircleBackward;
+
+impl Backward<Flex, 1> for CircleBackward {
+    /// The circle, its margin or arc, and the way back.
+    type State = (Circle, usize, Gradient);
 
     fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
         let gradient = grads.consume::<Flex>(&ops.node).to_contiguous();
         let [parent] = ops.parents.map(|p| p.map(|node| node.id));
-        let (circle, margin) = ops.state;
-        register(grads, parent, || tensor(circle.wrap_gradient(values(&gradient), margin), circle.size));
+        let (circle, reach, back) = ops.state;
+        register(grads, parent, || tensor(back(&circle, values(&gradient), reach), circle.size));
     }
 }
 
-#[derive(Debug)]
-struct AroundBackward;
-
-impl Backward<Flex, 1> for AroundBackward {
-    type State = (Circle, usize);
-
-    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let gradient = grads.consume::<Flex>(&ops.node).to_contiguous();
-        let [parent] = ops.parents.map(|p| p.map(|node| node.id));
-        let (circle, arc) = ops.state;
-        register(grads, parent, || tensor(circle.around_gradient(values(&gradient), arc), circle.size));
+/// What has become of `x`, to be walked back from.
+fn tracked<C: CheckpointStrategy>(
+    x: &FloatTensor<Autodiff<Flex, C>>,
+    y: FlexTensor,
+    state: (Circle, usize, Gradient),
+) -> FloatTensor<Autodiff<Flex, C>> {
+    match CircleBackward.prepare::<C>([x.node()]).compute_bound().stateful() {
+        OpsKind::Tracked(prep) => prep.finish(state, y),
+        OpsKind::UnTracked(prep) => prep.finish(y),
     }
 }
 
 impl<C: CheckpointStrategy> FusedCircle for Autodiff<Flex, C> {
     fn fused_wrap(x: FloatTensor<Self>, first: usize, count: usize, margin: usize) -> FloatTensor<Self> {
         let y = Flex::fused_wrap(x.primitive().clone(), first, count, margin);
-        match WrapBackward.prepare::<C>([x.node()]).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => prep.finish((circle(x.primitive(), first, count), margin), y),
-            OpsKind::UnTracked(prep) => prep.finish(y),
-        }
+        tracked::<C>(&x, y, (circle(x.primitive(), first, count), margin, Circle::wrap_gradient))
     }
 
     fn fused_around(x: FloatTensor<Self>, first: usize, count: usize, arc: usize) -> FloatTensor<Self> {
         let y = Flex::fused_around(x.primitive().clone(), first, count, arc);
-        match AroundBackward.prepare::<C>([x.node()]).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => prep.finish((circle(x.primitive(), first, count), arc), y),
-            OpsKind::UnTracked(prep) => prep.finish(y),
-        }
+        tracked::<C>(&x, y, (circle(x.primitive(), first, count), arc, Circle::around_gradient))
     }
 }
